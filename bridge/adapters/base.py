@@ -1,0 +1,166 @@
+"""What every side's edge offers to the engine that routes between it and the hub.
+
+An edge writes little: it says what is on its side's graph, opens and closes endpoints there, and hands over bytes.
+Rules, conversion, queues, latching, origins and counters are the engine's, written once in ``bridge.routing``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar, Protocol
+
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Qos
+
+Deliver = Callable[[bytes, str, int | None], None]
+"""``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
+that published it, ``time_ns`` the source's time stamp on the system clock where the middleware carries one."""
+
+
+class Kind(Enum):
+    """The two kinds of topic endpoint."""
+
+    PUBLISHER = "publisher"
+    SUBSCRIPTION = "subscription"
+
+
+class MadeBy(Enum):
+    """Who made an endpoint on the side's network. What is not NATIVE never crosses to the hub."""
+
+    NATIVE = "native"
+    MIDSPAN = "midspan"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One publisher or subscription on a side's graph.
+
+    Attributes:
+        id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic).
+        topic: absolute name as the side spells it.
+        type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``).
+        type_id: what the endpoint itself announced of its type (md5 or RIHS01), "" where unknown.
+        definition: full definition text where the middleware carries one (ROS 1 connection header), else "".
+        node: fully qualified node name, for people.
+    """
+
+    id: str
+    kind: Kind
+    topic: str
+    type: str
+    qos: Qos
+    made_by: MadeBy
+    node: str = ""
+    type_id: str = ""
+    definition: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SideType:
+    """A message type as one side names it.
+
+    Attributes:
+        name: as the side spells it.
+        type_id: md5 sum on ROS 1, RIHS01 hash (``RIHS01_<64 hex>``) on ROS 2 and the hub.
+        definition: full text: the type's own definition, then each nested type's after a line of ``=`` and ``MSG: name``.
+    """
+
+    name: str
+    type_id: str
+    definition: str
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """How one type's bytes get from one wire to another; ``convert`` is None where the bytes are the same.
+
+    ``convert(payload: bytes) -> bytes`` raises `bridge.messages.errors.ConversionError` for a bad message.
+    """
+
+    source: SideType
+    target: SideType
+    convert: Callable[[bytes], bytes] | None
+
+
+class EdgeListener(Protocol):
+    """What an edge tells the engine; each call only sets a flag and wakes a thread."""
+
+    def graph_changed(self) -> None:
+        """The endpoints, their qualities or the network's identity may have changed."""
+
+    def edge_failed(self, reason: str) -> None:
+        """The edge cannot go on by itself; the worker ends and is started again."""
+
+
+class EdgeSubscription(Protocol):
+    """A subscription that the bridge holds on the side."""
+
+    def close(self) -> None:
+        """Stop delivering and give the endpoint back. Safe to call twice."""
+
+
+class EdgePublisher(Protocol):
+    """A publisher that the bridge holds on the side."""
+
+    def send(self, payload: bytes, source: str) -> None:
+        """Publish bytes that came from the hub publisher ``source``; retained per source when the QoS is latched."""
+
+    def forget(self, source: str) -> None:
+        """The hub publisher ``source`` is gone: drop what is retained for it."""
+
+    def close(self) -> None:
+        """Give the endpoint back. Safe to call twice."""
+
+
+class Edge(ABC):
+    """One side's edge. Methods may be called from any thread after `start`; none of them blocks on a peer."""
+
+    side: ClassVar[str]
+
+    @abstractmethod
+    def start(self, listener: EdgeListener) -> None:
+        """Begin joining the network; returns at once, also where the network is away (it is then joined later)."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Close and unregister everything that the edge made, within two seconds. Safe to call twice."""
+
+    @abstractmethod
+    def network(self) -> str | None:
+        """Identity of the network now joined, None while it is away."""
+
+    @abstractmethod
+    def is_own_network(self, origin: Origin) -> bool:
+        """Whether a hub session's origin is the very network that this edge is on."""
+
+    @abstractmethod
+    def endpoints(self) -> Sequence[Endpoint]:
+        """The side's graph as last seen, without the endpoints that this very edge made."""
+
+    @abstractmethod
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """Conversion of an endpoint's type to the hub's; raises `bridge.messages.errors.MessageTypeError`."""
+
+    @abstractmethod
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """Conversion of a hub type to the side's; raises `bridge.messages.errors.MessageTypeError`."""
+
+    @abstractmethod
+    def learn(self, type_name: str, definition: str) -> None:
+        """A definition of a ROS 2 type that another worker told on the hub; a later `from_hub` may use it."""
+
+    @abstractmethod
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
+        """Subscribe on the side; ``deliver`` is called on a thread of the edge, one call at a time per source."""
+
+    @abstractmethod
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` where the type cannot be used."""
+
+    def side_name(self, hub_name: str) -> str:
+        """The side's spelling of a hub topic name."""
+        return hub_name

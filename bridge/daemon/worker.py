@@ -1,0 +1,45 @@
+"""What the daemon expects of a worker, whatever it joins."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+from bridge.config.model import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """A worker's own word on how it is.
+
+    Attributes:
+        state: ``running``; ``waiting`` where its network is away; ``standby`` where another daemon is active on it.
+        text: a short line for people, for example ``12 routes, 340 msg/s``.
+    """
+
+    state: Literal["running", "waiting", "standby"]
+    text: str
+
+
+class Worker(ABC):
+    """One process's job: a side's adapter, the router, the modules or the simulator.
+
+    The process's main loop calls these, never two at once.
+    """
+
+    @abstractmethod
+    def start(self, config: Config) -> None:
+        """Begin; returns soon. Raises `RuntimeError` with a plain reason where it can never work here."""
+
+    @abstractmethod
+    def reload(self, config: Config) -> bool:
+        """Take up a new, already checked configuration; False where only a restart of the worker can."""
+
+    @abstractmethod
+    def health(self) -> Health:
+        """How the worker is, asked of its real loop: raises `TimeoutError` where that loop does not answer in time."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop and unregister everything, within two seconds. Safe to call twice."""

@@ -1,0 +1,30 @@
+"""Errors of the message layer.
+
+::
+
+    MessageError
+     +-- MessageTypeError     a type is unknown, has no pair, or cannot be built
+     +-- ConversionError      the bytes of one message are not what its type says
+"""
+
+from __future__ import annotations
+
+
+class MessageError(Exception):
+    """Base of the message layer's errors."""
+
+
+class MessageTypeError(MessageError):
+    """A type is unknown, has no counterpart, or cannot be built here.
+
+    Attributes:
+        cure: what a person can do about it, "" where nothing is known to help.
+    """
+
+    def __init__(self, message: str, cure: str = "") -> None:
+        super().__init__(message)
+        self.cure = cure
+
+
+class ConversionError(MessageError):
+    """The bytes of one message do not match its type."""

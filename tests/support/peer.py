@@ -1,0 +1,63 @@
+"""A real ROS 1 or ROS 2 program that a test drives by JSON lines on its standard input and output.
+
+One command a line, one answer a line, in order. Commands (``do``):
+
+``advertise`` topic, type, latched, best_effort, depth -> id; ``publish`` id, message (a dict of the fields);
+``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds -> messages (all so far, after
+``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name: [types]}, publishers {topic: [nodes]},
+subscriptions {topic: [nodes]}; ``exit``. An answer has ``ok``; when false, ``error``.
+Types are spelled ``package/Name`` on every side.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tests.support.process import Process
+
+
+class Peer(Process):
+    """A peer program under the test's control."""
+
+    def __init__(self, program: Path, python: Path, env: Mapping[str, str], *args: str) -> None:
+        super().__init__([python, program, *args], env, pipes=True)
+
+    def ask(self, do: str, **params: Any) -> dict[str, Any]:
+        """Send one command and return its answer; fails with the program's own words."""
+        assert self.popen.stdin is not None
+        assert self.popen.stdout is not None
+        self.popen.stdin.write(json.dumps({"do": do, **params}) + "\n")
+        self.popen.stdin.flush()
+        line = self.popen.stdout.readline()
+        assert line, f"peer ended during {do}: {self.output()[-3000:]}"
+        answer: dict[str, Any] = json.loads(line)
+        assert answer.get("ok"), f"{do} {params}: {answer.get('error')}"
+        return answer
+
+    def advertise(self, topic: str, type_: str, **qos: Any) -> int:
+        """Advertise; the endpoint's id."""
+        return int(self.ask("advertise", topic=topic, type=type_, **qos)["id"])
+
+    def subscribe(self, topic: str, type_: str, **qos: Any) -> int:
+        """Subscribe; the endpoint's id."""
+        return int(self.ask("subscribe", topic=topic, type=type_, **qos)["id"])
+
+    def publish(self, endpoint: int, message: dict[str, Any]) -> None:
+        """Publish one message, given by its fields."""
+        self.ask("publish", id=endpoint, message=message)
+
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
+        """All messages so far, once ``count`` have come or the time is over."""
+        messages: list[dict[str, Any]] = self.ask("wait", id=endpoint, count=count, seconds=seconds)["messages"]
+        return messages
+
+    def drop(self, endpoint: int) -> None:
+        """Close one endpoint."""
+        self.ask("drop", id=endpoint)
+
+    def graph(self) -> dict[str, Any]:
+        """What the peer sees of its side's graph."""
+        return self.ask("graph")

@@ -1,0 +1,67 @@
+"""Processes of the tests: own group, output kept in a file, always ended."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Self
+
+
+class Process:
+    """A child process in a group of its own whose stderr (and stdout, unless piped) goes to a file."""
+
+    def __init__(self, args: Sequence[str | Path], env: Mapping[str, str] | None = None, *, pipes: bool = False) -> None:
+        self._log: IO[bytes] = tempfile.NamedTemporaryFile(prefix="midspan-test-", suffix=".log")
+        self.args = [str(a) for a in args]
+        self.popen = subprocess.Popen(
+            self.args,
+            env=None if env is None else dict(env),
+            stdin=subprocess.PIPE if pipes else subprocess.DEVNULL,
+            stdout=subprocess.PIPE if pipes else self._log,
+            stderr=self._log,
+            start_new_session=True,
+            text=True if pipes else None,
+        )
+
+    @property
+    def pid(self) -> int:
+        """Process id, which is also the group's."""
+        return self.popen.pid
+
+    def output(self) -> str:
+        """What the process wrote so far to its log."""
+        return Path(self._log.name).read_text(errors="replace")
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the whole group."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+    def stop(self, seconds: float = 6.0) -> int:
+        """SIGTERM, wait, SIGKILL what is left; the exit code."""
+        if self.popen.poll() is None:
+            self.signal(signal.SIGTERM)
+            try:
+                self.popen.wait(seconds)
+            except subprocess.TimeoutExpired:
+                pass
+        self.signal(signal.SIGKILL)
+        code = self.popen.wait()
+        for pipe in (self.popen.stdin, self.popen.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        self._log.close()
+        return code
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.stop()

@@ -1,0 +1,22 @@
+"""Conditions with deadlines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+def until(condition: Callable[[], T], what: str, seconds: float = 10.0, every: float = 0.02) -> T:
+    """Return the condition's first true value; fail with ``what`` after ``seconds``."""
+    end = time.monotonic() + seconds
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > end:
+            msg = f"not within {seconds:g} s: {what} (last: {value!r})"
+            raise AssertionError(msg)
+        time.sleep(every)
