@@ -1,1 +1,1 @@
-"""Placeholder."""
+"""Routing between one side and the hub: rules, routes, the loop guard, queues and counters, written once for all sides."""

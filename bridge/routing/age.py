@@ -1,0 +1,56 @@
+"""Is a command still fresh? Commands that waited somewhere are dropped, not delivered late.
+
+Two things age a command: time on the way, seen from source time stamps, and a worker that stood still (stopped by a
+signal or starved) while messages piled up in its sockets, seen from a pulse that missed its beats.
+"""
+
+from __future__ import annotations
+
+import time
+
+
+class Pulse:
+    """Notices that this process stood still. `beat` is called about ten times a second by the engine's loop."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+        self._until = 0.0
+
+    def beat(self) -> None:
+        """Mark that the process runs."""
+        now = time.monotonic()
+        if now - self._last > 0.5:
+            # What piled up while we stood still is still being read from sockets for a moment.
+            self._until = now + 0.5
+        self._last = now
+
+    def stood_still(self, timeout: float) -> bool:
+        """Whether a message that arrives now may have waited longer than ``timeout`` seconds in front of us."""
+        now = time.monotonic()
+        return now < self._until or now - self._last > max(timeout, 0.3)
+
+
+class AgeGate:
+    """Age of messages of one source by their time stamps, whatever the offset between the two clocks.
+
+    The least difference between arrival and time stamp that was ever seen stands for the offset plus the shortest way;
+    what exceeds it is time spent waiting. The least difference is forgotten slowly, so that drifting clocks do not
+    make everything look old.
+    """
+
+    __slots__ = ("_least", "_seen")
+
+    def __init__(self) -> None:
+        self._least: int | None = None
+        self._seen = 0.0
+
+    def age(self, source_time_ns: int) -> float:
+        """Seconds that this message waited on its way, beyond the quickest one of its source."""
+        difference = time.time_ns() - source_time_ns
+        now = time.monotonic()
+        if self._least is None or difference < self._least:
+            self._least = difference
+        else:
+            self._least += int(min(now - self._seen, 10.0) * 1e5)  # 100 ppm
+        self._seen = now
+        return (difference - self._least) / 1e9

@@ -1,0 +1,76 @@
+"""Counters of one route: what crossed, how fast, what was dropped and why."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+DROPS = ("queue", "rate", "stale", "bad", "lost", "unknown")
+"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh, source unknown."""
+
+_LATENCIES = 512
+
+
+class Counters:
+    """One route's counters. Written by the route's threads, read by anybody; single reads may be a moment apart."""
+
+    __slots__ = ("_latencies", "_mark", "_rate", "bytes", "drops", "error", "error_at", "last", "messages")
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.bytes = 0
+        self.last = 0.0
+        self.error = ""
+        self.error_at = 0.0
+        self.drops = dict.fromkeys(DROPS, 0)
+        self._latencies: deque[int] = deque(maxlen=_LATENCIES)
+        self._mark = (time.monotonic(), 0)
+        self._rate = 0.0
+
+    def crossed(self, size: int) -> None:
+        """One message of ``size`` bytes went through."""
+        self.messages += 1
+        self.bytes += size
+        self.last = time.monotonic()
+
+    def latency(self, nanoseconds: int) -> None:
+        """One message took so long from its source's time stamp to here."""
+        self._latencies.append(nanoseconds)
+
+    def dropped(self, reason: str, count: int = 1) -> None:
+        """So many messages were dropped, for one of `DROPS`."""
+        self.drops[reason] += count
+
+    def failed(self, error: str) -> bool:
+        """Remember an error; whether it is worth a log line now (a second since the last one)."""
+        now = time.monotonic()
+        log = now - self.error_at > 1.0 or not self.error
+        self.error = error
+        if log:
+            self.error_at = now
+        return log
+
+    def tick(self) -> None:
+        """Take the rate since the last tick; called about once a second."""
+        now = time.monotonic()
+        then, messages = self._mark
+        if now - then >= 0.5:
+            self._rate = (self.messages - messages) / (now - then)
+            self._mark = (now, self.messages)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The counters as they stand in the status document."""
+        late = sorted(self._latencies.copy())
+        quantiles = {}
+        if late:
+            quantiles = {"p50": late[len(late) // 2] / 1e6, "p99": late[int(len(late) * 0.99)] / 1e6}
+        return {
+            "messages": self.messages,
+            "bytes": self.bytes,
+            "rate": round(self._rate, 2),
+            "age": round(time.monotonic() - self.last, 3) if self.last else None,
+            "latency_ms": quantiles,
+            "drops": dict(self.drops),
+            "error": self.error,
+        }

@@ -1,0 +1,65 @@
+"""Threads that carry messages from the hub to a side, the most urgent class first.
+
+zenoh's receiving thread only appends a sample to its route's queue and wakes a dispatcher; publishing, which may take
+milliseconds for an image, happens here.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from queue import SimpleQueue
+
+from bridge.routing.priority import Priority
+
+_log = logging.getLogger(__name__)
+_ORDER = (Priority.COMMAND, Priority.STATE, Priority.STREAM)
+
+
+class Dispatcher:
+    """One thread and three lanes of work; a piece of work is a call that handles one message of a route."""
+
+    def __init__(self, name: str) -> None:
+        self._lanes: dict[Priority, deque[Callable[[], None]]] = {p: deque() for p in _ORDER}
+        self._wake: SimpleQueue[bool] = SimpleQueue()
+        self._busy_since = 0.0
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def submit(self, priority: Priority, work: Callable[[], None]) -> None:
+        """Do a piece of work in its lane's turn. The lanes are bounded by the queues of their routes."""
+        self._lanes[priority].append(work)
+        self._wake.put(True)
+
+    def stuck_for(self) -> float:
+        """Seconds that the piece of work now under way has taken, 0.0 when idle."""
+        since = self._busy_since
+        return time.monotonic() - since if since else 0.0
+
+    def stop(self) -> None:
+        """Let the thread end after the work under way; what is still queued is dropped."""
+        self._wake.put(False)
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(2.0)
+
+    def _run(self) -> None:
+        lanes = [self._lanes[p] for p in _ORDER]
+        while self._wake.get():
+            for lane in lanes:
+                if lane:
+                    work = lane.popleft()
+                    break
+            else:
+                continue
+            self._busy_since = time.monotonic()
+            try:
+                work()
+            except Exception:
+                _log.exception("a route failed on one message")
+            self._busy_since = 0.0

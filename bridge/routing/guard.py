@@ -1,0 +1,23 @@
+"""The loop guard: what may leave the hub to a side, by who made it, never by a name that a user chose.
+
+No transit: what any Midspan made on a foreign network is never taken up from it again (each edge tells by marks on that
+network), and what came from a network is never put onto it again. While it is unknown who made an endpoint, nothing
+crosses.
+"""
+
+from __future__ import annotations
+
+from bridge.adapters.base import Edge
+from bridge.hub.graph import HubEndpoint
+
+
+def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
+    """Whether a hub publisher's messages may be published on the edge's network."""
+    if endpoint.own:
+        return False
+    return endpoint.origin is None or not edge.is_own_network(endpoint.origin)
+
+
+def origin_side(endpoint: HubEndpoint) -> str:
+    """The side that a hub publisher's messages come from, ``zenoh`` for a native participant of the hub."""
+    return "zenoh" if endpoint.origin is None else endpoint.origin.side

@@ -1,0 +1,201 @@
+"""A topic of the side on its way into the hub."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bridge.adapters.base import Conversion, Edge, EdgeSubscription, Endpoint
+from bridge.hub.publisher import HubPublisher
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.session import Hub
+from bridge.messages.errors import ConversionError
+from bridge.routing.age import AgeGate, Pulse
+from bridge.routing.priority import Priority
+from bridge.routing.rate import RateLimit
+from bridge.routing.route import Route, RouteKey, joint_qos
+from bridge.routing.rules import Decision
+from bridge.routing.static_tf import TF_TYPE, StaticTransforms
+
+_log = logging.getLogger(__name__)
+
+MAX_PENDING = 64
+"""Messages kept from sources that are on the graph but not yet known to the route (its first, latched ones)."""
+
+PENDING_SECONDS = 5.0
+
+
+@dataclass(slots=True)
+class _Source:
+    endpoint: Endpoint
+    publisher: HubPublisher
+    latched: bool
+    age: AgeGate
+
+
+class InRoute(Route):
+    """One topic and type of the side, published on the hub.
+
+    Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the
+    others share one. Static transforms are merged and kept by one publisher for the life of the route.
+    """
+
+    direction = "in"
+
+    def __init__(
+        self,
+        key: RouteKey,
+        hub_topic: str,
+        conversion: Conversion,
+        decision: Decision,
+        *,
+        hub: Hub,
+        edge: Edge,
+        pulse: Pulse,
+        unknown_source: Callable[[], None],
+    ) -> None:
+        super().__init__(key, hub_topic, key.topic, conversion, decision)
+        self._hub, self._edge, self._pulse = hub, edge, pulse
+        self._unknown_source = unknown_source
+        self._sources: dict[str, _Source] = {}
+        self._shared: HubPublisher | None = None
+        self._static: StaticTransforms | None = None
+        self._static_lock = threading.Lock()
+        self._pending: dict[str, tuple[float, bytes, int | None]] = {}
+        self._subscription: EdgeSubscription | None = None
+        self._qos = Qos()
+        self._limit = RateLimit(decision.rate) if decision.rate else None
+        self._priority = Priority.STREAM
+
+    def hub_type(self) -> str:
+        return self.conversion.target.name
+
+    def side_type(self) -> str:
+        return self.conversion.source.name
+
+    def update(self, endpoints: Sequence[Endpoint]) -> None:
+        """Follow the side's publishers of this topic; called by the engine's loop alone."""
+        current = {e.id: e for e in endpoints}
+        for gone in [s for s in self._sources if s not in current]:
+            self._remove(gone)
+        for endpoint in endpoints:
+            known = self._sources.get(endpoint.id)
+            if known is None or known.endpoint.qos != endpoint.qos:
+                if known is not None:
+                    self._remove(endpoint.id)
+                self._add(endpoint)
+        if endpoints:
+            self._subscribe(joint_qos([e.qos for e in endpoints]))
+        self._flush_pending()
+
+    def _latched(self, endpoint: Endpoint) -> bool:
+        latched = self.decision.override(endpoint.qos).latched
+        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
+
+    def _add(self, endpoint: Endpoint) -> None:
+        latched = self._latched(endpoint)
+        self._priority = self.priority_of(latched=latched or any(s.latched for s in self._sources.values()))
+        if latched and self.hub_type() == TF_TYPE and self._static is None:
+            self._static = StaticTransforms()
+        if latched and self._static is None:
+            publisher = self._publisher(endpoint.qos)
+        else:
+            if self._shared is None:
+                self._shared = self._publisher(endpoint.qos)
+            publisher = self._shared
+        self._sources[endpoint.id] = _Source(endpoint, publisher, latched, AgeGate())
+
+    def _publisher(self, qos: Qos) -> HubPublisher:
+        qos = self.decision.override(qos)
+        if self._static is not None:
+            qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+        elif self._priority is Priority.COMMAND:
+            qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
+        target = self.conversion.target
+        return self._hub.publisher(self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value)
+
+    def _remove(self, source: str) -> None:
+        known = self._sources.pop(source)
+        self._pending.pop(source, None)
+        if known.publisher is not self._shared:
+            known.publisher.close()
+        elif self._static is None and not any(s.publisher is self._shared for s in self._sources.values()):
+            self._shared.close()
+            self._shared = None
+
+    def _subscribe(self, qos: Qos) -> None:
+        qos = self.decision.override(qos)
+        if self._subscription is not None and qos == self._qos:
+            return
+        old, self._subscription = self._subscription, None
+        if old is not None:
+            old.close()
+        self._qos = qos
+        self._subscription = self._edge.subscribe(self.key.topic, self.conversion.source, qos, self._deliver)
+
+    def _flush_pending(self) -> None:
+        now = time.monotonic()
+        for source, (since, payload, time_ns) in list(self._pending.items()):
+            if source in self._sources:
+                del self._pending[source]
+                self._deliver(payload, source, time_ns)
+            elif now - since > PENDING_SECONDS:
+                del self._pending[source]
+                self.counters.dropped("unknown")
+
+    def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+        known = self._sources.get(source)
+        counters = self.counters
+        if known is None:
+            # On the graph for the edge, not yet for us: keep the newest, the engine comes back with `update`.
+            if len(self._pending) < MAX_PENDING:
+                self._pending[source] = (time.monotonic(), payload, time_ns)
+                self._unknown_source()
+            else:
+                counters.dropped("unknown")
+            return
+        if self._priority is Priority.COMMAND and self._stale(known, time_ns):
+            counters.dropped("stale")
+            return
+        if self._limit is not None and not known.latched and not self._limit.passes():
+            counters.dropped("rate")
+            return
+        try:
+            convert = self.conversion.convert
+            data = payload if convert is None else convert(payload)
+            if self._static is not None:
+                with self._static_lock:
+                    known.publisher.put(self._static.merge(data), time_ns)
+            else:
+                known.publisher.put(data, time_ns)
+        except (ConversionError, ValueError) as err:
+            self.bad(str(err))
+            return
+        counters.crossed(len(data))
+
+    def _stale(self, known: _Source, time_ns: int | None) -> bool:
+        timeout = self.decision.timeout
+        return self._pulse.stood_still(timeout) or (time_ns is not None and known.age.age(time_ns) > timeout)
+
+    @property
+    def static(self) -> bool:
+        """Whether the route carries merged static transforms, which stay when their publishers leave."""
+        return self._static is not None
+
+    def close(self) -> None:
+        """Give back everything on both networks."""
+        if self._subscription is not None:
+            self._subscription.close()
+            self._subscription = None
+        for source in list(self._sources):
+            self._remove(source)
+        if self._shared is not None:
+            self._shared.close()
+            self._shared = None
+
+    def status(self) -> dict[str, object]:
+        """The route as it stands in the status document."""
+        return self.describe(self._priority, self._qos, len(self._sources), active=bool(self._sources))

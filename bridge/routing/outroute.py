@@ -1,0 +1,237 @@
+"""A topic of the hub on its way to the side."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bridge.adapters.base import Conversion, Edge, EdgePublisher
+from bridge.hub.graph import HubEndpoint
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.session import Hub
+from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.messages.errors import MessageError
+from bridge.routing.age import AgeGate, Pulse
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.priority import Priority
+from bridge.routing.rate import RateLimit
+from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos
+from bridge.routing.rules import Decision
+from bridge.routing.static_tf import TF_TYPE, StaticTransforms
+
+_log = logging.getLogger(__name__)
+
+BULK = 64 * 1024
+"""Bytes from which a message goes to the dispatcher for large ones, so that it delays no small one."""
+
+MAX_PENDING = 64
+_STATIC = "static transforms"
+
+
+@dataclass(slots=True)
+class _Source:
+    endpoint: HubEndpoint
+    latched: bool
+    age: AgeGate
+
+
+class OutRoute(Route):
+    """One topic and type of the hub, published on the side.
+
+    Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not
+    name (they come from this very network, or are not yet known) do not pass.
+    """
+
+    direction = "out"
+
+    def __init__(
+        self,
+        key: RouteKey,
+        side_topic: str,
+        conversion: Conversion,
+        decision: Decision,
+        *,
+        hub: Hub,
+        edge: Edge,
+        pulse: Pulse,
+        small: Dispatcher,
+        bulk: Dispatcher,
+        unknown_source: Callable[[], None],
+    ) -> None:
+        super().__init__(key, key.topic, side_topic, conversion, decision)
+        self._hub, self._edge, self._pulse = hub, edge, pulse
+        self._dispatcher, self._bulk = small, bulk
+        self._unknown_source = unknown_source
+        self._sources: dict[bytes, _Source] = {}
+        self._refused: frozenset[bytes] = frozenset()
+        self._natives: dict[str, _Source] = {}
+        self._queue: deque[HubSample] = deque()
+        self._queued_bytes = 0
+        self._lock = threading.Lock()
+        self._pending: deque[tuple[float, HubSample]] = deque(maxlen=MAX_PENDING)
+        self._latched: EdgePublisher | None = None
+        self._volatile: EdgePublisher | None = None
+        self._subscription: HubSubscription | None = None
+        self._static: StaticTransforms | None = None
+        self._qos = Qos()
+        self._limit = RateLimit(decision.rate) if decision.rate else None
+        self._priority = Priority.STREAM
+        self._depth = 1
+
+    def hub_type(self) -> str:
+        return self.conversion.source.name
+
+    def side_type(self) -> str:
+        return self.conversion.target.name
+
+    def update(self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint]) -> None:
+        """Follow the hub's publishers of this topic; called by the engine's loop alone."""
+        current = {e.gid: e for e in allowed}
+        for gone in [g for g in self._sources if g not in current]:
+            source = self._sources.pop(gone)
+            if source.latched and self._latched is not None and self._static is None:
+                self._latched.forget(gone.hex())
+        for gid, endpoint in current.items():
+            if gid not in self._sources:
+                self._sources[gid] = _Source(endpoint, self._is_latched(endpoint), AgeGate())
+        self._refused = frozenset(e.gid for e in refused)
+        # Some participants (zenoh-ros2-sdk) put a GID of their own making in their samples.
+        self._natives = {s.endpoint.zid: s for s in self._sources.values() if s.endpoint.origin is None}
+        self._advertise()
+        if allowed:
+            self._subscribe(joint_qos([e.qos for e in allowed]))
+        self._retry_pending()
+
+    def _is_latched(self, endpoint: HubEndpoint) -> bool:
+        latched = self.decision.override(endpoint.qos).latched
+        return latched and self.priority_of(latched=latched) is not Priority.COMMAND
+
+    def _advertise(self) -> None:
+        latched = any(s.latched for s in self._sources.values())
+        self._priority = self.priority_of(latched=latched)
+        self._depth = self.decision.depth or QUEUE_DEPTH[self._priority]
+        if latched and self._latched is None:
+            if self.hub_type() == TF_TYPE:
+                self._static = StaticTransforms()
+            depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
+            self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)
+        if self._volatile is None and any(not s.latched for s in self._sources.values()):
+            depth = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
+            self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
+
+    def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:
+        # Reliable writers are heard by reliable and by best-effort readers alike.
+        qos = self.decision.override(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
+        return self._edge.advertise(self.side_topic, self.conversion.target, qos)
+
+    def _subscribe(self, qos: Qos) -> None:
+        if self._priority is Priority.COMMAND:
+            qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
+        if self._subscription is not None and qos.durability is self._qos.durability:
+            return
+        if self._subscription is not None:
+            self._subscription.close()
+        self._qos = qos
+        source = self.conversion.source
+        self._subscription = self._hub.subscription(self.hub_topic, source.name, self.key.type_id, qos, self._received)
+
+    def _received(self, sample: HubSample) -> None:
+        """Append and wake; runs on zenoh's receiving thread."""
+        size = len(sample.payload)
+        with self._lock:
+            if self._limit is not None and self._priority is not Priority.STATE and not self._limit.passes():
+                self.counters.dropped("rate")
+                return
+            self._queue.append(sample)
+            self._queued_bytes += size
+            while len(self._queue) > self._depth or (self._queued_bytes > QUEUE_BYTES and len(self._queue) > 1):
+                self._queued_bytes -= len(self._queue.popleft().payload)
+                self.counters.dropped("queue")
+            if size > BULK and len(self._queue) == 1:
+                self._dispatcher = self._bulk
+            dispatcher = self._dispatcher
+        dispatcher.submit(self._priority, self._next)
+
+    def _next(self) -> None:
+        with self._lock:
+            if not self._queue:
+                return
+            sample = self._queue.popleft()
+            self._queued_bytes -= len(sample.payload)
+        self._handle(sample)
+
+    def _handle(self, sample: HubSample) -> None:
+        source = self._sources.get(sample.gid)
+        if source is None:
+            if sample.gid in self._refused:
+                return
+            source = self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
+            if source is None:
+                self._pending.append((time.monotonic(), sample))
+                self._unknown_source()
+                return
+        self._publish(sample, source)
+
+    def _retry_pending(self) -> None:
+        now = time.monotonic()
+        for _ in range(len(self._pending)):
+            since, sample = self._pending.popleft()
+            source = self._sources.get(sample.gid)
+            if source is not None:
+                self._publish(sample, source)
+            elif sample.gid not in self._refused and now - since < 2.0:
+                self._pending.append((since, sample))
+            elif sample.gid not in self._refused:
+                self.counters.dropped("unknown")
+
+    def _publish(self, sample: HubSample, source: _Source) -> None:
+        timeout = self.decision.timeout
+        if self._priority is Priority.COMMAND and (
+            self._pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
+        ):
+            self.counters.dropped("stale")
+            return
+        publisher = self._latched if source.latched else self._volatile
+        if publisher is None:
+            self.counters.dropped("unknown")
+            return
+        try:
+            data, name = sample.data(), sample.gid.hex()
+            if self._static is not None and source.latched:
+                data, name = self._static.merge(data), _STATIC
+            if self.conversion.convert is not None:
+                data = self.conversion.convert(data)
+            publisher.send(data, name)
+        except (MessageError, ValueError) as err:
+            self.bad(str(err))
+            return
+        self.counters.crossed(len(data))
+        self.counters.latency(time.time_ns() - sample.source_time_ns)
+
+    @property
+    def static(self) -> bool:
+        """Whether the route carries merged static transforms, which stay when their publishers leave."""
+        return self._static is not None
+
+    def close(self) -> None:
+        """Give back everything on both networks."""
+        if self._subscription is not None:
+            self._subscription.close()
+            self._subscription = None
+        for publisher in (self._latched, self._volatile):
+            if publisher is not None:
+                publisher.close()
+        self._latched = self._volatile = None
+        with self._lock:
+            self._queue.clear()
+            self._queued_bytes = 0
+
+    def status(self) -> dict[str, object]:
+        """The route as it stands in the status document."""
+        if self._subscription is not None:
+            self.counters.drops["lost"] = self._subscription.lost
+        return self.describe(self._priority, self._qos, len(self._sources), active=bool(self._sources))

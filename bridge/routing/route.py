@@ -1,0 +1,97 @@
+"""What the routes of both directions share: who they are, how they report, what they decided."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.adapters.base import Conversion
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.routing.counters import Counters
+from bridge.routing.priority import Priority, default_priority
+from bridge.routing.rules import Decision
+
+_log = logging.getLogger(__name__)
+
+QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 200}
+"""Messages that wait for a side at most, where no rule says otherwise."""
+
+QUEUE_BYTES = 64 * 1024 * 1024
+"""Bytes that wait in one route's queue at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class RouteKey:
+    """What makes two routes of one direction the same."""
+
+    topic: str
+    type_name: str
+    type_id: str
+
+
+class Route:
+    """One topic that crosses in one direction."""
+
+    direction = ""
+
+    def __init__(
+        self, key: RouteKey, hub_topic: str, side_topic: str, conversion: Conversion, decision: Decision
+    ) -> None:
+        self.key = key
+        self.hub_topic = hub_topic
+        self.side_topic = side_topic
+        self.conversion = conversion
+        self.decision = decision
+        self.counters = Counters()
+
+    def hub_type(self) -> str:
+        """The type's ROS 2 name."""
+        raise NotImplementedError
+
+    def side_type(self) -> str:
+        """The type's name on the side."""
+        raise NotImplementedError
+
+    def priority_of(self, *, latched: bool) -> Priority:
+        """The route's class: the rule's, else by type and latching."""
+        if self.decision.priority:
+            return Priority(self.decision.priority)
+        return default_priority(self.hub_topic, self.hub_type(), latched=latched)
+
+    def bad(self, error: str) -> None:
+        """Count a refused message and log at a limited rate."""
+        self.counters.dropped("bad")
+        if self.counters.failed(error):
+            _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
+
+    def describe(self, priority: Priority, qos: Qos, sources: int, *, active: bool) -> dict[str, Any]:
+        """The route as it stands in the status document."""
+        return {
+            "direction": self.direction,
+            "topic": self.side_topic,
+            "hub_topic": self.hub_topic,
+            "type": self.hub_type(),
+            "side_type": self.side_type(),
+            "priority": priority.value,
+            "state": "active" if active else "idle",
+            "sources": sources,
+            "qos": qos_text(qos),
+            **self.counters.as_dict(),
+        }
+
+
+def qos_text(qos: Qos) -> str:
+    """QoS for people, as ``reliable transient_local 1``."""
+    return f"{qos.reliability.name.lower()} {qos.durability.name.lower()} {qos.depth}"
+
+
+def joint_qos(qualities: list[Qos]) -> Qos:
+    """The QoS that hears every one of several publishers: best effort and latched if any of them is."""
+    best_effort = any(q.reliability is Reliability.BEST_EFFORT for q in qualities)
+    latched = [q for q in qualities if q.latched]
+    return Qos(
+        Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
+        Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
+        depth=max(sum(max(q.depth, 1) for q in latched), *(q.depth for q in qualities), 10),
+    )

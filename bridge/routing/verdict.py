@@ -1,0 +1,81 @@
+"""What was decided of one topic at one gate, with its reason: the matter of ``midspan explain``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from bridge.adapters.base import Endpoint, MadeBy
+from bridge.routing.rules import Decision
+
+
+@dataclass(slots=True)
+class Verdict:
+    """One topic, one direction, one decision; refused where rules allow it but something else stands in the way."""
+
+    direction: str
+    topic: str
+    hub_topic: str
+    type: str
+    decision: Decision
+    refused: bool = False
+    own: str = ""
+    reason: str = ""
+    cure: str = field(default="")
+
+    @classmethod
+    def not_native(cls, endpoint: Endpoint) -> Self:
+        """An endpoint on the side that a Midspan made, or of which that is not known yet."""
+        if endpoint.made_by is MadeBy.MIDSPAN:
+            why = f"{endpoint.node or endpoint.id} was made by a Midspan and is never taken up again"
+        else:
+            why = f"it is not known yet who made {endpoint.node or endpoint.id}"
+        name = endpoint.topic
+        return cls("in", name, name, endpoint.type, Decision(allowed=False, why=why, name=name), own=why)
+
+    @classmethod
+    def own_network(cls, direction: str, topic: str, type_name: str) -> Self:
+        """A hub topic that came from this very network."""
+        why = "it comes from this very network"
+        return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
+
+    @classmethod
+    def no_publisher(cls, topic: str, type_name: str, nodes: str) -> Self:
+        """A topic with subscriptions only."""
+        why = f"nobody publishes it; {nodes} would listen"
+        return cls("out", topic, topic, type_name, Decision(allowed=True, why=why, name=topic), own=why)
+
+    def refuse(self, reason: str, cure: str) -> bool:
+        """Something stands in the way; whether that is news."""
+        self.refused, news = True, self.reason != reason
+        self.reason, self.cure = reason, cure
+        return news
+
+    @property
+    def kind(self) -> str:
+        """One word: bridged, denied, private, refused, unseen or own."""
+        if self.own:
+            return "unseen" if self.decision.allowed else "own"
+        if self.refused:
+            return "refused"
+        if self.decision.allowed:
+            return "bridged"
+        return "private" if self.decision.private else "denied"
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in the answers to ``explain`` and ``status``."""
+        cure = self.cure
+        if self.kind == "private":
+            cure = "name it in a rule that allows it, or set routing.private: false"
+        elif self.kind == "denied":
+            cure = "change the rule, or add one that allows it"
+        return {
+            "direction": self.direction,
+            "topic": self.topic,
+            "hub_topic": self.hub_topic,
+            "type": self.type,
+            "decision": self.kind,
+            "why": self.reason or self.decision.why,
+            "reason": self.reason or self.decision.why,
+            "cure": cure,
+        }
