@@ -22,8 +22,10 @@ class Section(BaseModel):
 class QosOverride(Section):
     """QoS that a rule forces on the endpoints that the bridge makes."""
 
-    reliability: Literal["reliable", "best_effort"] | None = Field(None, description="Forced reliability.")
-    durability: Literal["volatile", "transient_local"] | None = Field(None, description="Forced durability (latching).")
+    reliability: Literal["reliable", "best_effort"] | None = Field(default=None, description="Forced reliability.")
+    durability: Literal["volatile", "transient_local"] | None = Field(
+        default=None, description="Forced durability (latching)."
+    )
 
 
 class Rule(Section):
@@ -34,33 +36,38 @@ class Rule(Section):
     """
 
     topic: str | None = Field(
-        None,
+        default=None,
         description="Glob over the topic's name where the rule is applied: `*` stays within one name part, `**` crosses"
         " parts. Example: `/camera/**`.",
     )
     regex: str | None = Field(
-        None, description="Regular expression that must match the whole name; an alternative to `topic`."
+        default=None, description="Regular expression that must match the whole name; an alternative to `topic`."
     )
     type: str | None = Field(
-        None, description="Glob over the type's ROS 2 name, for example `sensor_msgs/msg/*`."
+        default=None, description="Glob over the type's ROS 2 name, for example `sensor_msgs/msg/*`."
     )
-    from_: SideName | None = Field(None, alias="from", description="Only topics that come from this side.")
+    from_: SideName | None = Field(default=None, alias="from", description="Only topics that come from this side.")
     to: SideName | None = Field(
-        None, description="Only on the way out to this side; without it the rule holds where the topic enters the hub."
+        default=None,
+        description="Only on the way out to this side; without it the rule holds where the topic enters the hub.",
     )
-    deny: bool = Field(False, description="The topic does not cross; wins over every other rule.")
+    deny: bool = Field(default=False, description="The topic does not cross; wins over every other rule.")
     rename: str | None = Field(
-        None,
+        default=None,
         description="New name. With `regex`, groups as `\\1`; with a glob, each `*` or `**` of the new name stands for"
         " what the wildcard at that place matched.",
     )
-    rate: float | None = Field(None, gt=0, le=10000, description="At most so many messages a second, the newest ones.")
-    priority: Literal["state", "command", "stream"] | None = Field(
-        None, description="state: kept; command: newest only, never latched or late; stream: drops oldest."
+    rate: float | None = Field(
+        default=None, gt=0, le=10000, description="At most so many messages a second, the newest ones."
     )
-    depth: int | None = Field(None, ge=1, le=100000, description="Length of the route's queue, and history depth.")
+    priority: Literal["state", "command", "stream"] | None = Field(
+        default=None, description="state: kept; command: newest only, never latched or late; stream: drops oldest."
+    )
+    depth: int | None = Field(
+        default=None, ge=1, le=100000, description="Length of the route's queue, and history depth."
+    )
     timeout: float | None = Field(
-        None, gt=0, le=60, description="Seconds after which a command is too old to be delivered (default 0.5)."
+        default=None, gt=0, le=60, description="Seconds after which a command is too old to be delivered (default 0.5)."
     )
     qos: QosOverride = Field(default_factory=QosOverride, description="QoS forced on the bridge's endpoints.")
 
@@ -92,79 +99,91 @@ class RoutingSection(Section):
     """Which topics cross, and how."""
 
     default: Literal["allow", "deny"] = Field(
-        "allow", description="What becomes of a topic that no rule names. With `deny`, the rules are the allow list."
+        default="allow",
+        description="What becomes of a topic that no rule names. With `deny`, the rules are the allow list.",
     )
     private: bool = Field(
-        True, description="Keep back what is private to a side (rosout, parameter events and the like)."
+        default=True, description="Keep back what is private to a side (rosout, parameter events and the like)."
     )
-    rules: tuple[Rule, ...] = Field((), description="Rules; see each key.")
+    rules: tuple[Rule, ...] = Field(default=(), description="Rules; see each key.")
 
 
 class HubSection(Section):
     """The hub: one ROS 2 graph on zenoh in rmw_zenoh's format."""
 
-    domain: int = Field(0, ge=0, le=232, description="ROS domain id of the hub, the first part of each key.")
-    listen: str = Field("tcp/127.0.0.1:7447", description="Where the daemon's own router listens.")
+    domain: int = Field(default=0, ge=0, le=232, description="ROS domain id of the hub, the first part of each key.")
+    listen: str = Field(default="tcp/127.0.0.1:7447", description="Where the daemon's own router listens.")
     router: Enabled = Field(
-        "auto",
+        default="auto",
         description="Whether the daemon runs a router itself; `auto`: unless one answers at `listen` already.",
     )
     zenoh: dict[str, Any] | Path | None = Field(
-        None,
+        default=None,
         description="zenoh configuration, inline or the path of a JSON5 or YAML file, laid over the defaults of the"
         " workers' sessions: mode (peer, client), connect, listen, transport/link/tls, access_control.",
     )
     router_zenoh: dict[str, Any] | Path | None = Field(
-        None, description="The same for the router that the daemon runs itself."
+        default=None, description="The same for the router that the daemon runs itself."
     )
-    shared_memory: bool = Field(True, description="Shared memory between this machine's workers for large messages.")
+    shared_memory: bool = Field(
+        default=True, description="Shared memory between this machine's workers for large messages."
+    )
 
 
 class Ros1Section(Section):
     """The ROS 1 side."""
 
-    enabled: Enabled = Field("auto", description="`auto`: where rospy is installed.")
-    master: str | None = Field(None, description="ROS master URI; default $ROS_MASTER_URI or http://localhost:11311.")
-    ip: str | None = Field(None, description="Address that this machine gives to ROS 1 peers (ROS_IP).")
-    hostname: str | None = Field(None, description="Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME).")
-    node: str = Field("midspan", description="Node name on the ROS 1 graph.")
-    poll: float = Field(0.5, ge=0.05, le=10, description="Seconds between looks at the master's graph.")
+    enabled: Enabled = Field(default="auto", description="`auto`: where rospy is installed.")
+    master: str | None = Field(
+        default=None, description="ROS master URI; default $ROS_MASTER_URI or http://localhost:11311."
+    )
+    ip: str | None = Field(default=None, description="Address that this machine gives to ROS 1 peers (ROS_IP).")
+    hostname: str | None = Field(
+        default=None, description="Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME)."
+    )
+    node: str = Field(default="midspan", description="Node name on the ROS 1 graph.")
+    poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the master's graph.")
     packages: Path | None = Field(
-        None, description="Folder with the ROS 1 Python packages; default the system's dist-packages."
+        default=None, description="Folder with the ROS 1 Python packages; default the system's dist-packages."
     )
 
 
 class Ros2Section(Section):
     """The ROS 2 (DDS) side."""
 
-    enabled: Enabled = Field("auto", description="`auto`: where rclpy is installed.")
-    domain: int | None = Field(None, ge=0, le=232, description="ROS_DOMAIN_ID; default the environment's, else 0.")
-    node: str = Field("midspan", description="Node name on the ROS 2 graph.")
+    enabled: Enabled = Field(default="auto", description="`auto`: where rclpy is installed.")
+    domain: int | None = Field(
+        default=None, ge=0, le=232, description="ROS_DOMAIN_ID; default the environment's, else 0."
+    )
+    node: str = Field(default="midspan", description="Node name on the ROS 2 graph.")
     transport: Literal["auto", "shared_memory", "udp"] = Field(
-        "auto",
+        default="auto",
         description="Fast DDS transports. `auto`: shared memory beside UDP, UDP alone where /dev/shm is too small or"
         " other users' ROS 2 nodes are on this machine (shared memory delivers nothing between users).",
     )
     profile: Path | None = Field(
-        None, description="A Fast DDS XML profile of your own, used instead of the generated one."
+        default=None, description="A Fast DDS XML profile of your own, used instead of the generated one."
     )
-    localhost_only: bool = Field(True, description="Discover ROS 2 nodes of this machine only.")
-    build: bool = Field(True, description="Build message packages on demand when a compiler is there.")
+    localhost_only: bool = Field(default=True, description="Discover ROS 2 nodes of this machine only.")
+    build: bool = Field(default=True, description="Build message packages on demand when a compiler is there.")
 
 
 class TypesSection(Section):
     """Message types beyond those installed."""
 
     folders: tuple[Path, ...] = Field(
-        (), description="Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`."
+        default=(),
+        description="Folders of .msg files, as `<folder>/<package>/msg/<Name>.msg` or `<package>/<Name>.msg`.",
     )
-    mapping_rules: tuple[Path, ...] = Field((), description="ros1_bridge mapping-rule files (YAML).")
+    mapping_rules: tuple[Path, ...] = Field(default=(), description="ros1_bridge mapping-rule files (YAML).")
 
 
 class LogSection(Section):
     """Logging."""
 
-    level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least level that is written.")
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        default="info", description="Least level that is written."
+    )
 
 
 class Config(Section):
@@ -175,7 +194,9 @@ class Config(Section):
         description="Name of this daemon; default the machine's.",
     )
     state: Path | None = Field(
-        None, description="State folder; default $STATE_DIRECTORY, else $XDG_STATE_HOME/midspan or ~/.local/state/midspan."
+        default=None,
+        description="State folder; default $STATE_DIRECTORY, else $XDG_STATE_HOME/midspan, else"
+        " ~/.local/state/midspan.",
     )
     hub: HubSection = Field(default_factory=HubSection, description="The hub.")
     ros1: Ros1Section = Field(default_factory=Ros1Section, description="The ROS 1 side.")

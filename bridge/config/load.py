@@ -1,0 +1,96 @@
+"""From a YAML file to a checked `Config`, or to the list of everything that is wrong with it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from bridge.config import hints
+from bridge.config.document import Document, KeyPath, parse, read
+from bridge.config.model import Config
+from bridge.config.problems import ConfigError, Problem
+
+MADE_BY_US: frozenset[KeyPath] = frozenset({("state",)})
+"""Paths that need not exist: Midspan makes them."""
+
+
+def find(environ: Mapping[str, str] = os.environ) -> Path | None:
+    """The file that is used when none is named, None where there is none (all defaults).
+
+    In this order: ``$MIDSPAN_CONFIG``, ``./midspan.yaml``, ``$XDG_CONFIG_HOME/midspan/midspan.yaml`` (by default
+    ``~/.config``), ``/etc/midspan/midspan.yaml``.
+    """
+    named = environ.get("MIDSPAN_CONFIG")
+    if named:
+        return Path(named)
+    home = Path(environ.get("XDG_CONFIG_HOME") or Path(environ.get("HOME") or Path.home()) / ".config")
+    for file in (Path("midspan.yaml"), home / "midspan" / "midspan.yaml", Path("/etc/midspan/midspan.yaml")):
+        if file.is_file():
+            return file
+    return None
+
+
+def load(path: Path | None = None) -> Config:
+    """Load a file, by default the one that `find` finds.
+
+    Raises:
+        ConfigError: with all problems of the file.
+    """
+    file = path if path is not None else find()
+    return Config() if file is None else _config(read(file))
+
+
+def loads(text: str, file: Path = Path("<text>")) -> Config:
+    """Load a text as if it were the file ``file``; see `load`."""
+    return _config(parse(file, text))
+
+
+def _config(document: Document) -> Config:
+    data = {} if document.data is None else document.data
+    if not isinstance(data, dict):
+        raise ConfigError([document.problem((), "must be a map of sections, for example 'hub:'")])
+    try:
+        config = Config.model_validate(_without_empty(data, Config))
+    except ValidationError as err:
+        raise ConfigError(hints.problems(document, Config, err.errors(include_url=False))) from err
+    missing: list[Problem] = []
+    placed: Config = _placed(config, (), document, missing)
+    if missing:
+        raise ConfigError(missing)
+    return placed
+
+
+def _without_empty(data: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
+    """The data without the sections and lists that are there but empty, as when all of their keys are commented out."""
+    fields = {hints.key_name(name, info): info for name, info in model.model_fields.items()}
+    kept: dict[str, Any] = {}
+    for name, value in data.items():
+        inner = hints.model_of(fields[name].annotation) if name in fields else None
+        if value is None and (inner is not None or (name in fields and fields[name].default == ())):
+            continue
+        kept[name] = _without_empty(value, inner) if isinstance(value, dict) and inner is not None else value
+    return kept
+
+
+def _placed(value: Any, path: KeyPath, document: Document, missing: list[Problem]) -> Any:
+    """The value with its paths made absolute, relative ones from the file's folder; notes those that lead nowhere."""
+    if isinstance(value, BaseModel):
+        inner = {
+            name: _placed(getattr(value, name), (*path, hints.key_name(name, info)), document, missing)
+            for name, info in type(value).model_fields.items()
+        }
+        changed = {name: new for name, new in inner.items() if new is not getattr(value, name)}
+        return value.model_copy(update=changed) if changed else value
+    if isinstance(value, tuple):
+        items = tuple(_placed(item, (*path, index), document, missing) for index, item in enumerate(value))
+        return items if any(new is not old for new, old in zip(items, value, strict=True)) else value
+    if not isinstance(value, Path):
+        return value
+    absolute = Path(os.path.abspath(document.file.parent / value.expanduser()))  # noqa: PTH100  keeps symbolic links
+    if path not in MADE_BY_US and not absolute.exists():
+        missing.append(document.problem(path, f"no such file or folder: {absolute}"))
+    return absolute
