@@ -1,0 +1,37 @@
+"""The verbs of ``midspan``: each is one file of this folder, imported only when it is used.
+
+A verb's module has ``register(subparsers)``, which adds its parser, and ``run(args) -> int``, the exit code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """One verb.
+
+    Attributes:
+        module: where its code is.
+        help: one line for ``midspan --help``.
+    """
+
+    module: str
+    help: str
+
+
+VERBS: dict[str, Verb] = {
+    "run": Verb("bridge.cli.run", "run the daemon: start, watch and restart the workers"),
+    "worker": Verb("bridge.cli.worker", "run one worker alone, also on another machine"),
+    "status": Verb("bridge.cli.status", "show daemons, workers and routes"),
+    "top": Verb("bridge.cli.top", "live table of all routes"),
+    "explain": Verb("bridge.cli.explain", "say why a topic is or is not bridged"),
+    "doctor": Verb("bridge.cli.doctor", "look for what commonly goes wrong, and say the cure"),
+    "topic": Verb("bridge.cli.topic", "list, info, echo, hz and pub on any side's topics"),
+    "config": Verb("bridge.cli.config", "check a configuration file; print its schema or an example"),
+    "interfaces": Verb("bridge.cli.interfaces", "build ROS 2 message packages that are missing"),
+    "install": Verb("bridge.cli.install", "put the systemd services in place"),
+    "demo": Verb("bridge.cli.demo", "real programs of every side, bridged, with a live table"),
+    "completion": Verb("bridge.cli.completion", "print a shell completion script"),
+}
