@@ -70,12 +70,6 @@ class InRoute(Route):
         self._limit = RateLimit(decision.rate) if decision.rate else None
         self._priority = Priority.STREAM
 
-    def hub_type(self) -> str:
-        return self.conversion.target.name
-
-    def side_type(self) -> str:
-        return self.conversion.source.name
-
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called by the engine's loop alone."""
         current = {e.id: e for e in endpoints}
@@ -98,7 +92,7 @@ class InRoute(Route):
     def _add(self, endpoint: Endpoint) -> None:
         latched = self._latched(endpoint)
         self._priority = self.priority_of(latched=latched or any(s.latched for s in self._sources.values()))
-        if latched and self.hub_type() == TF_TYPE and self._static is None:
+        if latched and self.hub_type == TF_TYPE and self._static is None:
             self._static = StaticTransforms()
         if latched and self._static is None:
             publisher = self._publisher(endpoint.qos)

@@ -82,12 +82,6 @@ class OutRoute(Route):
         self._priority = Priority.STREAM
         self._depth = 1
 
-    def hub_type(self) -> str:
-        return self.conversion.source.name
-
-    def side_type(self) -> str:
-        return self.conversion.target.name
-
     def update(self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint]) -> None:
         """Follow the hub's publishers of this topic; called by the engine's loop alone."""
         current = {e.gid: e for e in allowed}
@@ -115,7 +109,7 @@ class OutRoute(Route):
         self._priority = self.priority_of(latched=latched)
         self._depth = self.decision.depth or QUEUE_DEPTH[self._priority]
         if latched and self._latched is None:
-            if self.hub_type() == TF_TYPE:
+            if self.hub_type == TF_TYPE:
                 self._static = StaticTransforms()
             depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
             self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)

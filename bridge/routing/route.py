@@ -31,7 +31,10 @@ class RouteKey:
 
 
 class Route:
-    """One topic that crosses in one direction."""
+    """One topic that crosses in one direction.
+
+    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side.
+    """
 
     direction = ""
 
@@ -44,20 +47,15 @@ class Route:
         self.conversion = conversion
         self.decision = decision
         self.counters = Counters()
-
-    def hub_type(self) -> str:
-        """The type's ROS 2 name."""
-        raise NotImplementedError
-
-    def side_type(self) -> str:
-        """The type's name on the side."""
-        raise NotImplementedError
+        inwards = self.direction == "in"
+        self.hub_type = conversion.target.name if inwards else conversion.source.name
+        self.side_type = conversion.source.name if inwards else conversion.target.name
 
     def priority_of(self, *, latched: bool) -> Priority:
         """The route's class: the rule's, else by type and latching."""
         if self.decision.priority:
             return Priority(self.decision.priority)
-        return default_priority(self.hub_topic, self.hub_type(), latched=latched)
+        return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
     def bad(self, error: str) -> None:
         """Count a refused message and log at a limited rate."""
@@ -71,8 +69,8 @@ class Route:
             "direction": self.direction,
             "topic": self.side_topic,
             "hub_topic": self.hub_topic,
-            "type": self.hub_type(),
-            "side_type": self.side_type(),
+            "type": self.hub_type,
+            "side_type": self.side_type,
             "priority": priority.value,
             "state": "active" if active else "idle",
             "sources": sources,

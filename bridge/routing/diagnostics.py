@@ -1,0 +1,83 @@
+"""The routes' counters as ``/diagnostics`` on the side, for the tools that robots have already (rqt_robot_monitor)."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Any
+
+from bridge.adapters.base import Edge, EdgePublisher
+from bridge.hub.qos import Qos
+from bridge.messages.errors import MessageError
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+from bridge.routing.engine import Engine
+
+_log = logging.getLogger(__name__)
+
+TOPIC = "/diagnostics"
+TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_PERIOD = 1.0
+_OK, _WARN, _ERROR = 0, 1, 2
+
+
+class Diagnostics:
+    """Publishes one status for the worker and one for each route, once a second while the side is there."""
+
+    def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str) -> None:
+        self._edge, self._registry, self._engine = edge, registry, engine
+        self._hardware_id = hardware_id
+        self._publisher: EdgePublisher | None = None
+        self._due = 0.0
+        conversion = edge.from_hub(TYPE, registry.ros2(TYPE).type_id)
+        self._convert, self._type = conversion.convert, conversion.target
+
+    def publish(self) -> None:
+        """Publish when it is time and the side is there."""
+        now = time.monotonic()
+        if now < self._due or self._edge.network() is None:
+            return
+        self._due = now + _PERIOD
+        try:
+            if self._publisher is None:
+                self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
+            cdr = from_json(self._registry, TYPE, self._array())
+            self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")
+        except MessageError as err:
+            _log.warning("no diagnostics on %s: %s", self._edge.side, err)
+            self._due = now + 60.0
+
+    def close(self) -> None:
+        """Publish no more."""
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
+
+    def _array(self) -> dict[str, Any]:
+        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+        routes = [route.status() for route in self._engine.routes()]
+        summary = self._engine.summary()
+        worker = self._status(
+            "worker", _OK, f"{summary.routes} routes, {summary.rate:.0f} msg/s", {"network": summary.network}
+        )
+        return {
+            "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}},
+            "status": [worker, *(self._route(route) for route in routes)],
+        }
+
+    def _route(self, route: dict[str, Any]) -> dict[str, Any]:
+        drops = {f"dropped ({reason})": n for reason, n in route["drops"].items() if n}
+        level = _ERROR if route["drops"]["bad"] else _WARN if route["drops"]["lost"] or route["drops"]["queue"] else _OK
+        arrow = "to the hub" if route["direction"] == "in" else "from the hub"
+        values = {"type": route["type"], "priority": route["priority"], "messages": route["messages"]}
+        values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
+        return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
+
+    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> dict[str, Any]:
+        return {
+            "level": level,
+            "name": f"{self._hardware_id}: {name}",
+            "message": message,
+            "hardware_id": self._hardware_id,
+            "values": [{"key": key, "value": str(value)} for key, value in values.items()],
+        }
