@@ -1,0 +1,153 @@
+"""The control plane: questions and answers in JSON between Midspan's own programs, as zenoh queries.
+
+A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer is ``{"value": ...}`` or
+``{"error": "..."}``. A key that starts with ``@`` is not heard by those who listen to everything.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+from collections.abc import Callable
+from dataclasses import dataclass
+from threading import Thread
+from typing import Any
+
+import zenoh
+
+from bridge.hub.errors import HubError
+from bridge.hub.liveliness import MIDSPAN_SPACE
+
+_log = logging.getLogger(__name__)
+Handler = Callable[[dict[str, Any]], Any]
+
+_MAX_PENDING = 64
+_MAX_QUESTION = 1 << 20
+_MAX_ANSWERS = 1000
+_THREADS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What one worker answered; ``error`` is "" where ``value`` holds."""
+
+    daemon: str
+    worker: str
+    value: Any
+    error: str = ""
+
+
+class Service:
+    """One verb that is answered; `close` ends it."""
+
+    def __init__(self, queryable: zenoh.Queryable[None]) -> None:
+        self._queryable = queryable
+
+    def close(self) -> None:
+        """Answer no more. Safe to call twice."""
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Control:
+    """Answers and asks on one session. Handlers run on threads of their own, never on zenoh's."""
+
+    def __init__(self, session: zenoh.Session, domain: int, daemon: str, worker: str) -> None:
+        self._session = session
+        self._space = f"{MIDSPAN_SPACE}/{domain}"
+        self._me = f"{daemon}/{worker}"
+        self._pending: queue.Queue[tuple[Handler, str, zenoh.Query] | None] = queue.Queue(_MAX_PENDING)
+        self._threads: list[Thread] = []
+
+    def serve(self, verb: str, handler: Handler) -> Service:
+        """Answer a verb; the handler takes the parameters and returns what JSON can carry."""
+        if not self._threads:
+            self._threads = [Thread(target=self._run, name=f"hub-control-{i}", daemon=True) for i in range(_THREADS)]
+            for thread in self._threads:
+                thread.start()
+
+        key = f"{self._space}/{self._me}/{verb}"
+
+        def enqueue(query: zenoh.Query) -> None:
+            try:
+                self._pending.put_nowait((handler, key, query))
+            except queue.Full:
+                _reply(query, key, {"error": "too many questions at once; ask again later"})
+
+        return Service(
+            self._session.declare_queryable(key, zenoh.handlers.Callback(enqueue, indirect=False), complete=True)
+        )
+
+    def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[Answer]:
+        """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
+        replies = self._session.get(
+            f"{self._space}/{daemon}/{worker}/{verb}",
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout,
+            payload=json.dumps(params).encode(),
+        )
+        answers: list[Answer] = []
+        for reply in replies:
+            if reply.ok is not None and len(answers) < _MAX_ANSWERS:
+                answers.append(_read(reply.ok))
+        return answers
+
+    def close(self) -> None:
+        """End the threads. Safe to call twice."""
+        for _ in self._threads:
+            self._pending.put(None)
+        for thread in self._threads:
+            thread.join(1.0)
+        self._threads.clear()
+
+    def _run(self) -> None:
+        while (work := self._pending.get()) is not None:
+            handler, key, query = work
+            _reply(query, key, _answer(handler, query))
+
+
+def _answer(handler: Handler, query: zenoh.Query) -> dict[str, Any]:
+    try:
+        return {"value": handler(_params(query))}
+    except HubError as err:
+        return {"error": str(err)}
+    except Exception as err:
+        # whatever the handler met, the asker is told and the thread lives on
+        _log.warning("question %s failed", query.key_expr, exc_info=True)
+        return {"error": str(err) or type(err).__name__}
+
+
+def _params(query: zenoh.Query) -> dict[str, Any]:
+    payload = query.payload
+    if payload is None:
+        return {}
+    if len(payload) > _MAX_QUESTION:
+        msg = f"question of {len(payload)} bytes, more than {_MAX_QUESTION}"
+        raise HubError(msg)
+    try:
+        params = json.loads(payload.to_bytes())
+    except ValueError:
+        params = None
+    if not isinstance(params, dict):
+        msg = "a question's parameters are a JSON object"
+        raise HubError(msg)
+    return params
+
+
+def _reply(query: zenoh.Query, key: str, answer: dict[str, Any]) -> None:
+    try:
+        with query:
+            query.reply(key, json.dumps(answer).encode())
+    except (zenoh.ZError, TypeError, ValueError):
+        _log.warning("question %s could not be answered", query.key_expr, exc_info=True)
+
+
+def _read(sample: zenoh.Sample) -> Answer:
+    parts = str(sample.key_expr).split("/")
+    daemon, worker = parts[-3], parts[-2]
+    try:
+        answer = json.loads(sample.payload.to_bytes())
+        return Answer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
+    except (ValueError, AttributeError):
+        return Answer(daemon, worker, None, "the answer is not JSON")

@@ -1,0 +1,27 @@
+"""Errors of the hub.
+
+::
+
+    HubError
+     +-- HubConfigError    the zenoh configuration cannot be used
+     +-- HubClosedError    the session is closed
+     +-- WireError         bytes or names are not in rmw_zenoh's format
+"""
+
+from __future__ import annotations
+
+
+class HubError(Exception):
+    """Base of the hub's errors."""
+
+
+class HubConfigError(HubError):
+    """The zenoh configuration cannot be read, or zenoh refuses it."""
+
+
+class HubClosedError(HubError):
+    """The hub session, or the endpoint, is closed."""
+
+
+class WireError(HubError):
+    """A key, a token, an attachment or a name is not in rmw_zenoh's format."""

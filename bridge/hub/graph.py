@@ -1,0 +1,292 @@
+"""The hub's graph as this session sees it: nodes, endpoints and origins, from the liveliness tokens of all sessions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from threading import Lock
+
+import zenoh
+
+from bridge.hub.errors import WireError
+from bridge.hub.liveliness import (
+    ADMIN_SPACE,
+    BRIDGE_ENCLAVE,
+    MIDSPAN_SPACE,
+    EndpointKind,
+    EndpointToken,
+    NodeToken,
+    gid_of,
+    parse_origin,
+    parse_token,
+)
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Qos
+
+_log = logging.getLogger(__name__)
+
+
+class Standing(Enum):
+    """What is known of a session on the hub."""
+
+    NATIVE = "native"
+    BRIDGE = "bridge"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class HubNode:
+    """A node on the hub."""
+
+    zid: str
+    node: str
+    namespace: str
+    origin: Origin | None
+    own: bool
+
+
+@dataclass(frozen=True, slots=True)
+class HubEndpoint:
+    """An endpoint on the hub.
+
+    Attributes:
+        zid: the zenoh session that it lives in.
+        kind: publisher, subscription, server or client.
+        topic: absolute name of the topic or service.
+        type_name: as ROS 2 spells it, ``std_msgs/msg/String``.
+        gid: the 16 bytes that rmw_zenoh derives from the token; a publisher's samples carry them.
+        origin: the foreign network that the session speaks for, None where it is native or not known yet.
+        pending: a bridge made it, and its origin is not known (yet): nothing of it may cross.
+        own: it is this session's.
+    """
+
+    zid: str
+    node: str
+    namespace: str
+    kind: EndpointKind
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+    gid: bytes
+    origin: Origin | None
+    pending: bool
+    own: bool
+
+
+class Watch:
+    """A watcher of the graph; `close` ends it."""
+
+    def __init__(self, watches: set[Watch], callback: Callable[[], None]) -> None:
+        self._watches = watches
+        self.callback = callback
+
+    def close(self) -> None:
+        """Call no more. Safe to call twice."""
+        self._watches.discard(self)
+
+
+class HubGraph:
+    """Nodes, endpoints and origins. Safe to use from any thread.
+
+    Attributes:
+        refused: how many tokens were left out because they are malformed or too many.
+    """
+
+    def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
+        self._zid = str(session.zid())
+        self._domain = domain
+        self._max_tokens = max_tokens
+        self._lock = Lock()
+        self._nodes: dict[str, NodeToken] = {}
+        self._endpoints: dict[str, HubEndpoint] = {}
+        self._marked: set[str] = set()
+        self._topics: dict[str, dict[str, HubEndpoint]] = {}
+        self._sessions: dict[str, dict[str, None]] = {}
+        self._origin_tokens: dict[str, dict[str, Origin]] = {}
+        self._origins: dict[str, Origin] = {}
+        self._zids: dict[bytes, str] = {}
+        self._watches: set[Watch] = set()
+        self.refused = 0
+        liveliness = session.liveliness()
+        # the origins first, so that their history comes before the endpoints'
+        self._subscribers = [
+            liveliness.declare_subscriber(key, zenoh.handlers.Callback(handler, indirect=False), history=True)
+            for key, handler in (
+                (f"{MIDSPAN_SPACE}/{domain}/origin/**", self._on_origin),
+                (f"{ADMIN_SPACE}/{domain}/**", self._on_token),
+            )
+        ]
+
+    def endpoints(self) -> list[HubEndpoint]:
+        """All endpoints, this session's own among them."""
+        with self._lock:
+            return list(self._endpoints.values())
+
+    def publishers(self, topic: str | None = None) -> list[HubEndpoint]:
+        """All publishers, or those of one topic."""
+        return self._of_kind(EndpointKind.PUBLISHER, topic)
+
+    def subscriptions(self, topic: str | None = None) -> list[HubEndpoint]:
+        """All subscriptions, or those of one topic."""
+        return self._of_kind(EndpointKind.SUBSCRIPTION, topic)
+
+    def nodes(self) -> list[HubNode]:
+        """All nodes, this session's own among them."""
+        with self._lock:
+            return [
+                HubNode(token.zid, token.node, token.namespace, self._origins.get(token.zid), token.zid == self._zid)
+                for token in self._nodes.values()
+            ]
+
+    def origins(self) -> dict[str, Origin]:
+        """The origin of each session that told one, by zid."""
+        with self._lock:
+            return dict(self._origins)
+
+    def origin_of(self, zid: str) -> Origin | None:
+        """A session's origin. Quick enough to be asked for each sample."""
+        return self._origins.get(zid)
+
+    def standing(self, zid: str) -> Standing:
+        """Whether a session is native on the hub, a bridge of known origin, or not known (yet).
+
+        A sample without a zid ("") is native: Midspan's samples always carry theirs.
+        """
+        if zid in self._origins:
+            return Standing.BRIDGE
+        if not zid:
+            return Standing.NATIVE
+        with self._lock:
+            keys = self._sessions.get(zid)
+            known = keys is not None and not any(key in self._marked for key in keys)
+        return Standing.NATIVE if known else Standing.UNKNOWN
+
+    def zid_of(self, gid: bytes) -> str:
+        """The session of the endpoint with this GID, "" where it is not known."""
+        return self._zids.get(gid, "")
+
+    def watch(self, callback: Callable[[], None]) -> Watch:
+        """Call ``callback`` after each change, on a thread of zenoh: it only sets a flag and wakes a thread."""
+        watch = Watch(self._watches, callback)
+        self._watches.add(watch)
+        return watch
+
+    def close(self) -> None:
+        """Hear no more tokens. Safe to call twice."""
+        self._watches.clear()
+        for subscriber in self._subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._subscribers.clear()
+
+    def _of_kind(self, kind: EndpointKind, topic: str | None) -> list[HubEndpoint]:
+        with self._lock:
+            known = self._endpoints if topic is None else self._topics.get(topic, {})
+            return [endpoint for endpoint in known.values() if endpoint.kind is kind]
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.DELETE:
+            with self._lock:
+                changed = self._forget(key)
+        else:
+            try:
+                token = parse_token(key)
+            except WireError as err:
+                self._refuse(key, str(err))
+                return
+            with self._lock:
+                changed = self._learn(key, token)
+        self._tell(changed)
+
+    def _on_origin(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        try:
+            token = parse_origin(key)
+        except WireError as err:
+            self._refuse(key, str(err))
+            return
+        with self._lock:
+            tokens = self._origin_tokens.setdefault(token.zid, {})
+            tokens.pop(key, None)
+            if sample.kind != zenoh.SampleKind.DELETE and len(self._origin_tokens) <= self._max_tokens:
+                tokens[key] = token.origin
+            # the newest of a session's origins holds; a replaced one goes right after
+            if tokens:
+                self._origins[token.zid] = next(reversed(tokens.values()))
+            else:
+                del self._origin_tokens[token.zid]
+                self._origins.pop(token.zid, None)
+            for endpoint_key in self._sessions.get(token.zid, ()):
+                endpoint = self._endpoints.get(endpoint_key)
+                if endpoint is not None:
+                    self._place(endpoint_key, endpoint)
+        self._tell(changed=True)
+
+    def _learn(self, key: str, token: NodeToken | EndpointToken) -> bool:
+        owner = token if isinstance(token, NodeToken) else token.owner
+        if owner.domain != self._domain or key in self._nodes or key in self._endpoints:
+            return False
+        if len(self._nodes) + len(self._endpoints) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} tokens")
+            return False
+        self._sessions.setdefault(owner.zid, {})[key] = None
+        if isinstance(token, NodeToken):
+            self._nodes[key] = token
+            return True
+        if owner.enclave == BRIDGE_ENCLAVE:
+            self._marked.add(key)
+        gid = gid_of(key)
+        self._zids[gid] = owner.zid
+        endpoint = HubEndpoint(
+            owner.zid,
+            owner.node,
+            owner.namespace,
+            token.kind,
+            token.topic,
+            token.type_name,
+            token.type_hash,
+            token.qos,
+            gid,
+            origin=None,
+            pending=False,
+            own=owner.zid == self._zid,
+        )
+        self._place(key, endpoint)
+        return True
+
+    def _place(self, key: str, endpoint: HubEndpoint) -> None:
+        origin = self._origins.get(endpoint.zid)
+        endpoint = replace(endpoint, origin=origin, pending=origin is None and key in self._marked)
+        self._endpoints[key] = endpoint
+        self._topics.setdefault(endpoint.topic, {})[key] = endpoint
+
+    def _forget(self, key: str) -> bool:
+        endpoint = self._endpoints.pop(key, None)
+        known = endpoint or self._nodes.pop(key, None)
+        if known is None:
+            return False
+        if endpoint is not None:
+            self._marked.discard(key)
+            self._zids.pop(endpoint.gid, None)
+            topic = self._topics[endpoint.topic]
+            del topic[key]
+            if not topic:
+                del self._topics[endpoint.topic]
+        keys = self._sessions[known.zid]
+        del keys[key]
+        if not keys:
+            del self._sessions[known.zid]
+        return True
+
+    def _refuse(self, key: str, why: str) -> None:
+        level = logging.DEBUG if self.refused else logging.WARNING
+        self.refused += 1
+        _log.log(level, "liveliness token left out, %s: %.200s", why, key)
+
+    def _tell(self, changed: bool) -> None:
+        if changed:
+            for watch in tuple(self._watches):
+                watch.callback()

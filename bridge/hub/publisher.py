@@ -1,0 +1,180 @@
+"""A publisher on the hub."""
+
+from __future__ import annotations
+
+import time
+from enum import Enum
+from threading import Lock
+from typing import Any, Protocol
+
+import zenoh
+from zenoh import ext
+
+from bridge.hub import attachment
+from bridge.hub.errors import HubClosedError, HubError
+from bridge.hub.liveliness import gid_of
+from bridge.hub.qos import History, Qos, Reliability
+
+KEEP_ALL_CACHE = 1000
+"""Samples that a latched publisher keeps when its history is unlimited."""
+MAX_CACHE = 10_000
+HEARTBEAT = 0.5
+"""Seconds after which a latched publisher tells its last sample's number, as rmw_zenoh does."""
+
+
+class Priority(Enum):
+    """zenoh's priority for each of Midspan's classes; command before state before stream."""
+
+    COMMAND = zenoh.Priority.INTERACTIVE_HIGH
+    STATE = zenoh.Priority.DATA_HIGH
+    STREAM = zenoh.Priority.DATA
+
+
+class _Sink(Protocol):
+    def send(self, payload: bytes, attached: bytes, number: int) -> None: ...
+    def matched(self) -> bool: ...
+    def close(self) -> None: ...
+
+
+def _matching(publisher: zenoh.Publisher) -> bool:
+    # the wheel returns a MatchingStatus (always true) where its stubs say bool
+    status: Any = publisher.matching_status
+    return bool(status.matching)
+
+
+class _PlainSink:
+    """A volatile publisher: nothing is kept."""
+
+    def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions) -> None:
+        self._publisher = session.declare_publisher(
+            key, congestion_control=options.congestion, priority=options.priority, express=options.express
+        )
+        self._id = self._publisher.id
+
+    def send(self, payload: bytes, attached: bytes, number: int) -> None:
+        info = zenoh.SourceInfo(self._id, number & 0xFFFFFFFF)
+        self._publisher.put(payload, attachment=attached, source_info=info)
+
+    def matched(self) -> bool:
+        return _matching(self._publisher)
+
+    def close(self) -> None:
+        self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+class _LatchedSink:
+    """A transient-local publisher: it keeps its last samples and gives them to late joiners.
+
+    Sample miss detection makes zenoh number the samples per publisher and put the session's id on them; without it the
+    caches of several publishers in one session would be told apart by time alone.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions, qos: Qos) -> None:
+        reliable = qos.reliability is Reliability.RELIABLE
+        self._publisher = ext.declare_advanced_publisher(
+            session,
+            key,
+            congestion_control=options.congestion,
+            priority=options.priority,
+            express=options.express,
+            cache=ext.CacheConfig(cache_depth(qos)),
+            sample_miss_detection=ext.MissDetectionConfig(
+                heartbeat=None, sporadic_heartbeat=HEARTBEAT if reliable else None
+            ),
+            publisher_detection=True,
+        )
+        # the wheel's AdvancedPublisher does not tell whether it is matched
+        self._shadow = session.declare_publisher(key)
+
+    def send(self, payload: bytes, attached: bytes, _number: int) -> None:
+        self._publisher.put(payload, attachment=attached)
+
+    def matched(self) -> bool:
+        return _matching(self._shadow)
+
+    def close(self) -> None:
+        self._shadow.undeclare()  # type: ignore[no-untyped-call]
+        self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+class PublisherOptions:
+    """How zenoh carries a publisher's samples.
+
+    As in rmw_zenoh samples are dropped where a link is congested, and only RELIABLE with KEEP_ALL blocks: one slow peer
+    must not delay the others. What a latched publisher lost so, a latched subscription recovers from its cache.
+    """
+
+    def __init__(self, qos: Qos, priority: str, *, express: bool) -> None:
+        blocks = qos.reliability is Reliability.RELIABLE and qos.history is History.KEEP_ALL
+        self.congestion = zenoh.CongestionControl.BLOCK if blocks else zenoh.CongestionControl.DROP
+        self.priority: zenoh.Priority = Priority[priority.upper()].value
+        self.express = express
+
+
+def cache_depth(qos: Qos) -> int:
+    """How many samples a latched publisher with this QoS keeps, and a latched subscription asks for."""
+    return KEEP_ALL_CACHE if qos.history is History.KEEP_ALL else min(max(qos.depth, 1), MAX_CACHE)
+
+
+class HubPublisher:
+    """Publishes one topic on the hub; made by `bridge.hub.session.Hub.publisher`. Safe to use from any thread.
+
+    Attributes:
+        topic: the topic's name.
+        gid: the 16 bytes that name the publisher in its samples.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, token: str, key: str, topic: str, qos: Qos, options: PublisherOptions, limit: int
+    ) -> None:
+        self.topic = topic
+        self.gid = gid_of(token)
+        self._limit = limit
+        self._lock = Lock()
+        self._sequence = 0
+        self._sink: _Sink | None = (
+            _LatchedSink(session, key, options, qos) if qos.latched else _PlainSink(session, key, options)
+        )
+        self._token = session.liveliness().declare_token(token)
+
+    def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
+        """Publish CDR bytes, encapsulation header first.
+
+        Args:
+            payload: the message.
+            source_time_ns: system time of its source in nanoseconds; default now.
+
+        Raises:
+            HubClosedError: the publisher or its session is closed.
+            HubError: the message is larger than the hub takes.
+        """
+        if len(payload) > self._limit:
+            msg = f"message of {len(payload)} bytes on {self.topic}: the hub takes up to {self._limit}"
+            raise HubError(msg)
+        if source_time_ns is None:
+            source_time_ns = time.time_ns()
+        # the lock is held while sending, so that the numbers arrive in order
+        with self._lock:
+            if self._sink is None:
+                msg = f"publisher of {self.topic} is closed"
+                raise HubClosedError(msg)
+            self._sequence += 1
+            attached = attachment.pack(self._sequence, source_time_ns, self.gid)
+            try:
+                self._sink.send(payload, attached, self._sequence)
+            except zenoh.ZError as err:
+                msg = f"cannot publish on {self.topic}: {err}"
+                raise HubClosedError(msg) from None
+
+    def matched(self) -> bool:
+        """Whether anybody subscribes on another session."""
+        with self._lock:
+            return self._sink is not None and self._sink.matched()
+
+    def close(self) -> None:
+        """Leave the graph; a latched publisher's samples are no longer served. Safe to call twice."""
+        with self._lock:
+            sink, self._sink = self._sink, None
+        if sink is not None:
+            self._token.undeclare()  # type: ignore[no-untyped-call]
+            sink.close()

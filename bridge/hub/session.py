@@ -1,0 +1,222 @@
+"""A session on the hub: what a worker, a module or a tool of Midspan opens to take part in it."""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from threading import RLock
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from bridge.hub.control import Answer, Control, Handler, Service
+from bridge.hub.errors import HubClosedError, HubConfigError, HubError
+from bridge.hub.graph import HubGraph
+from bridge.hub.keyexpr import topic_key
+from bridge.hub.liveliness import (
+    BRIDGE_ENCLAVE,
+    EndpointKind,
+    EndpointToken,
+    NodeToken,
+    OriginToken,
+    endpoint_key,
+    node_key,
+    origin_key,
+)
+from bridge.hub.origin import Origin
+from bridge.hub.publisher import HubPublisher, PublisherOptions
+from bridge.hub.qos import Qos
+from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
+from bridge.hub.subscription import HubSample, HubSubscription
+
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
+_NAMESPACE = re.compile(r"/|(?:/[A-Za-z_][A-Za-z0-9_]*){1,32}")
+
+
+@dataclass(frozen=True, slots=True)
+class HubSettings:
+    """How a session joins the hub.
+
+    Attributes:
+        domain: ROS domain id, the first part of each key.
+        router: zenoh endpoint of the router, None where ``zenoh`` says all.
+        zenoh: zenoh configuration laid over Midspan's, inline or the path of a JSON5 or YAML file.
+        shared_memory: whether large messages go through shared memory between sessions of one machine.
+        node: node name on the hub's graph.
+        namespace: the node's namespace.
+        daemon: name of the daemon on the control plane.
+        worker: name of the worker there.
+        max_payload: bytes of the largest message.
+        max_tokens: endpoints and nodes that the graph holds at most.
+    """
+
+    domain: int = 0
+    router: str | None = "tcp/127.0.0.1:7447"
+    zenoh: Mapping[str, Any] | str | Path | None = None
+    shared_memory: bool = True
+    node: str = "midspan"
+    namespace: str = "/"
+    daemon: str = "midspan"
+    worker: str = "tool"
+    max_payload: int = MAX_PAYLOAD
+    max_tokens: int = 50_000
+
+    def __post_init__(self) -> None:
+        """Refuse names that cannot stand in a key."""
+        for name, value, form in (
+            ("daemon", self.daemon, _NAME),
+            ("worker", self.worker, _NAME),
+            ("node", self.node, _NODE),
+            ("namespace", self.namespace, _NAMESPACE),
+        ):
+            if not form.fullmatch(value):
+                msg = f"hub {name} {value[:80]!r} has characters that a name on the hub cannot have"
+                raise HubConfigError(msg)
+
+
+class Hub:
+    """One zenoh session that speaks rmw_zenoh's format, as one node. Safe to use from any thread.
+
+    Opening does not wait for the router: the session joins when it can, and again after a cut.
+
+    Attributes:
+        zid: the session's id.
+        domain: the hub's domain.
+        graph: all participants as this session sees them.
+    """
+
+    def __init__(self, session: zenoh.Session, settings: HubSettings) -> None:
+        self.zid = str(session.zid())
+        self.domain = settings.domain
+        self._settings = settings
+        self._session = session
+        self._lock = RLock()
+        self._closed = False
+        self._ids = itertools.count(1)
+        self._origin: tuple[Origin, zenoh.LivelinessToken] | None = None
+        self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
+        self.graph = HubGraph(session, settings.domain, settings.max_tokens)
+        self._control = Control(session, settings.domain, settings.daemon, settings.worker)
+        self._node_token = session.liveliness().declare_token(node_key(self._node))
+        # a process that ends with an open session hangs in zenoh's threads
+        atexit.register(self.close)
+
+    @classmethod
+    def open(cls, settings: HubSettings) -> Hub:
+        """Open a session; raises `HubError` where zenoh cannot (a bad configuration, a port in use)."""
+        tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=settings.max_payload)
+        config = make_config(tree, settings.zenoh)
+        try:
+            return cls(zenoh.open(config), settings)
+        except zenoh.ZError as err:
+            msg = f"cannot join the hub: {err}"
+            raise HubError(msg) from None
+
+    def set_origin(self, origin: Origin | None) -> None:
+        """Tell which foreign network this session speaks for; before its endpoints are made."""
+        with self._lock:
+            self._check_open()
+            before = self._origin
+            if (before and before[0]) == origin:
+                return
+            if origin is None:
+                self._origin = None
+            else:
+                key = origin_key(OriginToken(self.domain, self.zid, origin))
+                self._origin = (origin, self._session.liveliness().declare_token(key))
+            if before is not None:
+                before[1].undeclare()  # type: ignore[no-untyped-call]
+
+    def publisher(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        *,
+        priority: str = "stream",
+        express: bool = True,
+    ) -> HubPublisher:
+        """Make a publisher.
+
+        Args:
+            topic: absolute name.
+            type_name: as ROS 2 spells it.
+            type_hash: RIHS01.
+            qos: latched or not, and how many samples are kept.
+            priority: ``command``, ``state`` or ``stream``.
+            express: send each sample at once instead of gathering several in one packet.
+        """
+        with self._lock:
+            self._check_open()
+            key = topic_key(self.domain, topic, type_name, type_hash)
+            token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
+            options = PublisherOptions(qos, priority, express=express)
+            limit = self._settings.max_payload
+            return HubPublisher(self._session, token, key, topic, qos, options, limit)
+
+    def subscription(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, callback: Callable[[HubSample], None]
+    ) -> HubSubscription:
+        """Make a subscription.
+
+        Args:
+            topic: absolute name.
+            type_name: as ROS 2 spells it.
+            type_hash: RIHS01, or ``*`` for any.
+            qos: a latched one gets what each latched publisher keeps, of publishers present and late.
+            callback: runs on zenoh's receiving thread; it appends and wakes, nothing more. Samples of this very
+                session are not delivered.
+        """
+        with self._lock:
+            self._check_open()
+            key = topic_key(self.domain, topic, type_name, type_hash)
+            token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
+            limit = self._settings.max_payload
+            return HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback)
+
+    def serve(self, verb: str, handler: Handler) -> Service:
+        """Answer a verb of the control plane for this daemon and worker; the result has `close`."""
+        with self._lock:
+            self._check_open()
+            return self._control.serve(verb, handler)
+
+    def ask(
+        self, verb: str, params: dict[str, Any], daemon: str = "*", worker: str = "*", timeout: float = 2.0
+    ) -> list[Answer]:
+        """Ask a verb of all workers, of one daemon's, or of one."""
+        self._check_open()
+        return self._control.ask(verb, params, daemon, worker, timeout)
+
+    def close(self) -> None:
+        """Leave the hub: endpoints, tokens and threads are gone afterwards. Safe to call twice."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        atexit.unregister(self.close)
+        self.graph.close()
+        self._control.close()
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            msg = "the hub session is closed"
+            raise HubClosedError(msg)
+
+    def _token(self, kind: EndpointKind, topic: str, type_name: str, type_hash: str, qos: Qos) -> str:
+        enclave = BRIDGE_ENCLAVE if self._origin else "/"
+        owner = NodeToken(self.domain, self.zid, "0", self._node.namespace, self._node.node, enclave)
+        return endpoint_key(EndpointToken(owner, str(next(self._ids)), kind, topic, type_name, type_hash, qos))
