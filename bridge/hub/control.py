@@ -38,17 +38,6 @@ class Answer:
     error: str = ""
 
 
-class Service:
-    """One verb that is answered; `close` ends it."""
-
-    def __init__(self, queryable: zenoh.Queryable[None]) -> None:
-        self._queryable = queryable
-
-    def close(self) -> None:
-        """Answer no more. Safe to call twice."""
-        self._queryable.undeclare()  # type: ignore[no-untyped-call]
-
-
 class Control:
     """Answers and asks on one session. Handlers run on threads of their own, never on zenoh's."""
 
@@ -59,8 +48,11 @@ class Control:
         self._pending: queue.Queue[tuple[Handler, str, zenoh.Query] | None] = queue.Queue(_MAX_PENDING)
         self._threads: list[Thread] = []
 
-    def serve(self, verb: str, handler: Handler) -> Service:
-        """Answer a verb; the handler takes the parameters and returns what JSON can carry."""
+    def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
+        """Answer a verb until the returned function is called.
+
+        The handler takes the parameters and returns what JSON can carry.
+        """
         if not self._threads:
             self._threads = [Thread(target=self._run, name=f"hub-control-{i}", daemon=True) for i in range(_THREADS)]
             for thread in self._threads:
@@ -74,9 +66,10 @@ class Control:
             except queue.Full:
                 _reply(query, key, {"error": "too many questions at once; ask again later"})
 
-        return Service(
-            self._session.declare_queryable(key, zenoh.handlers.Callback(enqueue, indirect=False), complete=True)
+        queryable = self._session.declare_queryable(
+            key, zenoh.handlers.Callback(enqueue, indirect=False), complete=True
         )
+        return lambda: queryable.undeclare()  # type: ignore[no-untyped-call]
 
     def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[Answer]:
         """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""

@@ -10,6 +10,10 @@
 
 from __future__ import annotations
 
+import re
+
+_RUST_PLACE = re.compile(r" at \S+\.rs:\d+\.?")
+
 
 class HubError(Exception):
     """Base of the hub's errors."""
@@ -25,3 +29,8 @@ class HubClosedError(HubError):
 
 class WireError(HubError):
     """A key, a token, an attachment or a name is not in rmw_zenoh's format."""
+
+
+def zenoh_reason(err: Exception) -> str:
+    """What zenoh says went wrong, without the places in its source."""
+    return _RUST_PLACE.sub("", str(err))

@@ -76,18 +76,6 @@ class HubEndpoint:
     own: bool
 
 
-class Watch:
-    """A watcher of the graph; `close` ends it."""
-
-    def __init__(self, watches: set[Watch], callback: Callable[[], None]) -> None:
-        self._watches = watches
-        self.callback = callback
-
-    def close(self) -> None:
-        """Call no more. Safe to call twice."""
-        self._watches.discard(self)
-
-
 class HubGraph:
     """Nodes, endpoints and origins. Safe to use from any thread.
 
@@ -108,7 +96,7 @@ class HubGraph:
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
         self._zids: dict[bytes, str] = {}
-        self._watches: set[Watch] = set()
+        self._watches: dict[object, Callable[[], None]] = {}
         self.refused = 0
         liveliness = session.liveliness()
         # the origins first, so that their history comes before the endpoints'
@@ -168,11 +156,18 @@ class HubGraph:
         """The session of the endpoint with this GID, "" where it is not known."""
         return self._zids.get(gid, "")
 
-    def watch(self, callback: Callable[[], None]) -> Watch:
-        """Call ``callback`` after each change, on a thread of zenoh: it only sets a flag and wakes a thread."""
-        watch = Watch(self._watches, callback)
-        self._watches.add(watch)
-        return watch
+    def watch(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call ``callback`` after each change, until the returned function is called.
+
+        It runs on a thread of zenoh: it only sets a flag and wakes a thread.
+        """
+        watch = object()
+        self._watches[watch] = callback
+
+        def close() -> None:
+            self._watches.pop(watch, None)
+
+        return close
 
     def close(self) -> None:
         """Hear no more tokens. Safe to call twice."""
@@ -288,5 +283,5 @@ class HubGraph:
 
     def _tell(self, changed: bool) -> None:
         if changed:
-            for watch in tuple(self._watches):
-                watch.callback()
+            for callback in tuple(self._watches.values()):
+                callback()

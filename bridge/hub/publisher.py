@@ -11,7 +11,7 @@ import zenoh
 from zenoh import ext
 
 from bridge.hub import attachment
-from bridge.hub.errors import HubClosedError, HubError
+from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.liveliness import gid_of
 from bridge.hub.qos import History, Qos, Reliability
 
@@ -163,7 +163,7 @@ class HubPublisher:
             try:
                 self._sink.send(payload, attached, self._sequence)
             except zenoh.ZError as err:
-                msg = f"cannot publish on {self.topic}: {err}"
+                msg = f"cannot publish on {self.topic}: {zenoh_reason(err)}"
                 raise HubClosedError(msg) from None
 
     def matched(self) -> bool:

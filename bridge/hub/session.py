@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import zenoh
 
-from bridge.hub.control import Answer, Control, Handler, Service
-from bridge.hub.errors import HubClosedError, HubConfigError, HubError
+from bridge.hub.control import Answer, Control, Handler
+from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.keyexpr import topic_key
 from bridge.hub.liveliness import (
@@ -115,7 +115,7 @@ class Hub:
         try:
             return cls(zenoh.open(config), settings)
         except zenoh.ZError as err:
-            msg = f"cannot join the hub: {err}"
+            msg = f"cannot join the hub: {zenoh_reason(err)}"
             raise HubError(msg) from None
 
     def set_origin(self, origin: Origin | None) -> None:
@@ -181,8 +181,8 @@ class Hub:
             limit = self._settings.max_payload
             return HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback)
 
-    def serve(self, verb: str, handler: Handler) -> Service:
-        """Answer a verb of the control plane for this daemon and worker; the result has `close`."""
+    def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
+        """Answer a verb of the control plane for this daemon and worker, until the returned function is called."""
         with self._lock:
             self._check_open()
             return self._control.serve(verb, handler)

@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from bridge.hub.errors import HubConfigError
+from bridge.hub.errors import HubConfigError, zenoh_reason
 
 Tree = dict[str, Any]
 
@@ -72,7 +72,7 @@ def make_config(tree: Tree, user: Mapping[str, Any] | str | Path | None) -> zeno
         return zenoh.Config.from_json5(json.dumps(merge(tree, over)))
     except (zenoh.ZError, TypeError, ValueError) as err:
         source = f"zenoh configuration {user}" if isinstance(user, str | Path) else "zenoh configuration"
-        msg = f"{source} cannot be used: {err}"
+        msg = f"{source} cannot be used: {zenoh_reason(err)}"
         raise HubConfigError(msg) from None
 
 

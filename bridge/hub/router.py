@@ -1,0 +1,230 @@
+"""The hub's router: where sessions of this machine and of others find each other.
+
+Any zenoh router will do; this one spares a bare machine the installation of zenohd. The workers' data goes over direct
+links and not through it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import socket
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import zenoh
+
+from bridge.config.model import Config
+from bridge.daemon.worker import Health, Worker
+from bridge.hub.control import Control
+from bridge.hub.errors import HubError, zenoh_reason
+from bridge.hub.liveliness import MIDSPAN_SPACE
+from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
+
+_log = logging.getLogger(__name__)
+_ANSWER_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RouterInfo:
+    """Who answers at a router's endpoint.
+
+    Attributes:
+        endpoint: where it was asked.
+        zid: its zenoh id.
+        mode: ``router``, or ``peer`` where a zenoh program listens there that routes nothing.
+        daemon: name of the Midspan daemon that runs it, "" where it is a stranger's (zenohd, rmw_zenohd).
+        pid: its process on its machine, 0 where it is a stranger's.
+    """
+
+    endpoint: str
+    zid: str
+    mode: str
+    daemon: str = ""
+    pid: int = 0
+
+    def __str__(self) -> str:
+        """For people."""
+        if self.daemon:
+            return f"the router of Midspan daemon {self.daemon} (process {self.pid})"
+        return f"a zenoh {self.mode} that is not Midspan's (zid {self.zid})"
+
+
+def probe_router(
+    endpoint: str, zenoh_config: Mapping[str, Any] | str | Path | None = None, seconds: float = 1.5
+) -> RouterInfo | None:
+    """Ask who routes at an endpoint; None where nobody there speaks zenoh.
+
+    Args:
+        endpoint: as the router listens, for example ``tcp/127.0.0.1:7447``.
+        zenoh_config: what the workers use besides, for TLS.
+        seconds: how long to wait for it.
+    """
+    endpoint = connect_endpoint(endpoint)
+    tree = session_tree(endpoint, shared_memory=False, max_payload=MAX_PAYLOAD)
+    config = make_config(tree, zenoh_config)
+    for key, value in (
+        ("mode", "client"),
+        ("connect/endpoints", [endpoint]),
+        ("connect/timeout_ms", int(seconds * 1000)),
+        ("connect/exit_on_failure", True),
+        ("listen/endpoints", []),
+    ):
+        config.insert_json5(key, json.dumps(value))
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError:
+        return None
+    try:
+        return _identify(session, endpoint, seconds)
+    finally:
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def port_held(endpoint: str) -> bool:
+    """Whether any program accepts TCP connections at a zenoh endpoint."""
+    address = connect_endpoint(endpoint).partition("/")[2].partition("?")[0].partition("#")[0]
+    host, _, port = address.rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=0.5):
+            return True
+    except (OSError, ValueError):
+        return False
+
+
+class RouterWorker(Worker):
+    """Runs a router at ``hub.listen``.
+
+    With ``hub.router: auto`` and another router there already, that one is used, and this one stands by and takes over
+    when the other is gone.
+    """
+
+    def __init__(self) -> None:
+        self._config: Config | None = None
+        self._session: zenoh.Session | None = None
+        self._control: Control | None = None
+        self._other = ""
+        self._started = time.monotonic()
+        self._process = psutil.Process()
+
+    def start(self, config: Config) -> None:
+        """Listen; raises `RuntimeError` where the port is another's and cannot be shared."""
+        self._config = config
+        hub = config.hub
+        try:
+            self._open(config)
+        except zenoh.ZError as err:
+            if not port_held(hub.listen):
+                msg = f"the router cannot listen on {hub.listen} (hub.listen): {zenoh_reason(err)}"
+                raise RuntimeError(msg) from None
+            holder = probe_router(hub.listen, hub.zenoh)
+            who = "a program that does not speak zenoh" if holder is None else str(holder)
+            if holder is None or holder.mode != "router" or hub.router is True:
+                cure = "" if holder is None else ", or hub.router to auto, and the one that is there is used"
+                msg = f"{hub.listen} is held by {who}; set hub.listen to a free port{cure}"
+                raise RuntimeError(msg) from None
+            self._other = who
+            _log.info("%s is at %s already and is used", who, hub.listen)
+
+    def reload(self, config: Config) -> bool:
+        """Nothing of a router can change while it runs."""
+        old = self._config
+        return old is not None and config.name == old.name and config.hub == old.hub
+
+    def health(self) -> Health:
+        """A question to the router itself, over zenoh."""
+        assert self._config is not None
+        session = self._session
+        if session is None:
+            session = self._take_over(self._config)
+        if session is None:
+            return Health("standby", f"{self._other} is used")
+        if not list(session.get(_identity_key(session), timeout=_ANSWER_SECONDS)):
+            msg = f"the router does not answer within {_ANSWER_SECONDS:g} s"
+            raise TimeoutError(msg)
+        return Health("running", f"{len(session.info.transports())} sessions at {self._config.hub.listen}")
+
+    def stop(self) -> None:
+        """Close the router; its peers keep their direct links."""
+        control, self._control = self._control, None
+        session, self._session = self._session, None
+        if control is not None:
+            control.close()
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def _take_over(self, config: Config) -> zenoh.Session | None:
+        if not port_held(config.hub.listen):
+            try:
+                self._open(config)
+            except zenoh.ZError as err:
+                _log.warning(
+                    "the router that was used is gone, and %s cannot be listened on: %s", config.hub.listen, err
+                )
+        return self._session
+
+    def _open(self, config: Config) -> None:
+        hub = config.hub
+        try:
+            zenoh_config = make_config(router_tree(hub.listen, max_payload=MAX_PAYLOAD), hub.router_zenoh)
+        except HubError as err:
+            msg = f"hub.router_zenoh: {err}"
+            raise RuntimeError(msg) from None
+        session = zenoh.open(zenoh_config)
+        self._session = session
+        self._control = Control(session, hub.domain, config.name, "router")
+        identity = json.dumps({"daemon": config.name, "pid": os.getpid()}).encode()
+        key = _identity_key(session)
+        session.declare_queryable(
+            key, zenoh.handlers.Callback(lambda query: _tell(query, key, identity), indirect=False)
+        )
+        self._control.serve("status", lambda _params: self._status(config, session))
+        self._process.cpu_percent()
+
+    def _status(self, config: Config, session: zenoh.Session) -> dict[str, Any]:
+        return {
+            "daemon": config.name,
+            "worker": "router",
+            "side": "router",
+            "pid": os.getpid(),
+            "zid": str(session.zid()),
+            "network": None,
+            "state": "running",
+            "uptime": time.monotonic() - self._started,
+            "cpu": self._process.cpu_percent() / 100,
+            "rss": self._process.memory_info().rss,
+            "listen": config.hub.listen,
+            "sessions": len(session.info.transports()),
+            "routes": [],
+            "refused": [],
+            "warnings": [],
+        }
+
+
+def _identity_key(session: zenoh.Session) -> str:
+    return f"{MIDSPAN_SPACE}/router/{session.zid()}"
+
+
+def _tell(query: zenoh.Query, key: str, identity: bytes) -> None:
+    with query:
+        query.reply(key, identity)
+
+
+def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterInfo | None:
+    routers = [str(zid) for zid in session.info.routers_zid()]
+    peers = [str(zid) for zid in session.info.peers_zid()]
+    if not routers:
+        return RouterInfo(endpoint, peers[0], "peer") if peers else None
+    for reply in session.get(f"{MIDSPAN_SPACE}/router/{routers[0]}", timeout=seconds):
+        if reply.ok is not None:
+            try:
+                known = json.loads(reply.ok.payload.to_bytes())
+                return RouterInfo(endpoint, routers[0], "router", str(known["daemon"]), int(known["pid"]))
+            except (ValueError, KeyError, TypeError):
+                _log.debug("the router at %s tells nothing of use about itself", endpoint)
+    return RouterInfo(endpoint, routers[0], "router")

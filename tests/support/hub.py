@@ -1,0 +1,80 @@
+"""A hub of a test's own: a router on a free port, and settings for sessions that join it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from bridge.hub.session import HubSettings
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+
+ROUTER_PROGRAM = Path(__file__).with_name("hub_router.py")
+ROOT = Path(__file__).parents[2]
+
+
+class HubNetwork:
+    """A router in a process of its own on a free port of loopback.
+
+    Args:
+        domain: the hub's domain.
+        zenoh: configuration laid over that of the sessions.
+        router_zenoh: the same for the router.
+        protocol: ``tcp`` or ``tls``.
+        run: whether the router runs from the start.
+    """
+
+    def __init__(
+        self,
+        domain: int = 0,
+        zenoh: dict[str, Any] | Path | None = None,
+        router_zenoh: dict[str, Any] | Path | None = None,
+        protocol: str = "tcp",
+        *,
+        run: bool = True,
+    ) -> None:
+        self.domain = domain
+        self.port = free_port()
+        self.endpoint = f"{protocol}/127.0.0.1:{self.port}"
+        self._zenoh = zenoh
+        self._router_zenoh = router_zenoh
+        self._router: Process | None = None
+        if run:
+            self.start_router()
+
+    def settings(self, node: str, worker: str = "test", daemon: str = "test", **more: Any) -> HubSettings:
+        """Settings of a session on this hub."""
+        values: dict[str, Any] = {"domain": self.domain, "router": self.endpoint, "zenoh": self._zenoh, **more}
+        return HubSettings(node=node, worker=worker, daemon=daemon, **values)
+
+    def config(self, **more: Any) -> dict[str, Any]:
+        """The ``hub`` section of a configuration file for this hub."""
+        section = {"domain": self.domain, "listen": self.endpoint, "zenoh": self._zenoh, **more}
+        return {key: str(value) if isinstance(value, Path) else value for key, value in section.items()}
+
+    def start_router(self) -> None:
+        """Run the router; returns when it listens."""
+        hub = self.config(router=True)
+        over = self._router_zenoh
+        hub["router_zenoh"] = str(over) if isinstance(over, Path) else over
+        router = self._router = Process(
+            [sys.executable, ROUTER_PROGRAM, json.dumps({"name": "test", "hub": hub})], {"PYTHONPATH": str(ROOT)}
+        )
+        until(lambda: "listening" in router.output() or router.popen.poll() is not None, "the router listens")
+        assert router.popen.poll() is None, router.output()
+
+    def stop_router(self) -> None:
+        """End the router, and leave the hub's other sessions alone."""
+        if self._router is not None:
+            self._router.stop()
+            self._router = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.stop_router()
