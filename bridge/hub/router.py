@@ -180,9 +180,12 @@ class RouterWorker(Worker):
         self._control = Control(session, hub.domain, config.name, "router")
         identity = json.dumps({"daemon": config.name, "pid": os.getpid()}).encode()
         key = _identity_key(session)
-        session.declare_queryable(
-            key, zenoh.handlers.Callback(lambda query: _tell(query, key, identity), indirect=False)
-        )
+
+        def tell(query: zenoh.Query) -> None:
+            with query:
+                query.reply(key, identity)
+
+        session.declare_queryable(key, zenoh.handlers.Callback(tell, indirect=False))
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
 
@@ -208,11 +211,6 @@ class RouterWorker(Worker):
 
 def _identity_key(session: zenoh.Session) -> str:
     return f"{MIDSPAN_SPACE}/router/{session.zid()}"
-
-
-def _tell(query: zenoh.Query, key: str, identity: bytes) -> None:
-    with query:
-        query.reply(key, identity)
 
 
 def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterInfo | None:
