@@ -10,10 +10,13 @@ from __future__ import annotations
 from bridge.adapters.base import Edge
 from bridge.hub.graph import HubEndpoint
 
+TAPS = "/_midspan/"
+"""Hub names under which workers show what does not cross to those who ask for it; nothing of it leaves the hub."""
+
 
 def may_leave(endpoint: HubEndpoint, edge: Edge) -> bool:
     """Whether a hub publisher's messages may be published on the edge's network."""
-    if endpoint.own:
+    if endpoint.own or endpoint.pending or endpoint.topic.startswith(TAPS):
         return False
     return endpoint.origin is None or not edge.is_own_network(endpoint.origin)
 
