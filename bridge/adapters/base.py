@@ -164,3 +164,11 @@ class Edge(ABC):
     def side_name(self, hub_name: str) -> str:
         """The side's spelling of a hub topic name."""
         return hub_name
+
+    def hub_name(self, side_name: str) -> str:
+        """The legal hub topic name for one of the side's."""
+        return side_name
+
+    def warnings(self) -> list[str]:
+        """What is wrong on the side and not with one route alone, for people; for example incompatible QoS."""
+        return []

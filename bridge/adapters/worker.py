@@ -68,7 +68,8 @@ class BridgeWorker(Worker):
         )
         self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed)
         self._engine.start()
-        self._closers = [self._hub.serve("status", self._status), self._hub.serve("explain", self._explain)]
+        verbs = {"status": self._status, "explain": self._explain, "tap": self._tap, "time": self._time}
+        self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
         self._diagnostics = Diagnostics(edge, registry, self._engine, f"midspan {config.name}/{self.side}")
         self._process.cpu_percent()
 
@@ -141,3 +142,10 @@ class BridgeWorker(Worker):
     def _explain(self, params: dict[str, Any]) -> list[dict[str, Any]]:
         assert self._engine is not None
         return self._engine.explain(str(params.get("topic", "")))
+
+    def _tap(self, params: dict[str, Any]) -> dict[str, str]:
+        assert self._engine is not None
+        return self._engine.tap(str(params.get("topic", "")), float(params.get("seconds", 10.0)))
+
+    def _time(self, _params: dict[str, Any]) -> dict[str, int]:
+        return {"time_ns": time.time_ns()}

@@ -11,18 +11,19 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bridge.adapters.base import Conversion, Edge, Endpoint, Kind, MadeBy
 from bridge.config.model import RoutingSection
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.keyexpr import topic_key
 from bridge.hub.origin import Origin
 from bridge.hub.session import Hub
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
-from bridge.routing.guard import may_leave, origin_side
+from bridge.routing.guard import TAPS, may_leave, origin_side
 from bridge.routing.inroute import InRoute
 from bridge.routing.outroute import OutRoute
 from bridge.routing.route import Route, RouteKey
@@ -35,6 +36,7 @@ _log = logging.getLogger(__name__)
 _PULSE = 0.1
 _PERIOD = 1.0
 _SETTLE = 0.02
+_MAX_TAPS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,7 @@ class Engine:
         self._out: dict[tuple[RouteKey, str], OutRoute] = {}
         self._verdicts: list[Verdict] = []
         self._network: str | None = None
+        self._taps: dict[str, float] = {}
         self._types = TypeBook(hub, edge, self.graph_changed)
         self._closers: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name=f"midspan-{edge.side}-engine", daemon=True)
@@ -180,6 +183,9 @@ class Engine:
         hub_topic = decision.name if decision.name != key.topic else self.edge.hub_name(key.topic)
         verdict = Verdict("in", key.topic, hub_topic, key.type_name, decision)
         verdicts.append(verdict)
+        if not decision.allowed and time.monotonic() < self._taps.get(key.topic, 0.0):
+            hub_topic = f"{TAPS}{self.edge.side}{self.edge.hub_name(key.topic)}"
+            decision = replace(decision, allowed=True, name=hub_topic)
         route = self._in.get(key)
         if route is not None and (not decision.allowed or route.decision != decision):
             self._in.pop(key).close()
@@ -210,6 +216,29 @@ class Engine:
         )  # fmt: skip
         self._in[key] = route
         return route
+
+    def tap(self, topic: str, seconds: float) -> dict[str, str]:
+        """Show a topic that does not cross on the hub for so many seconds, under a name that nobody takes up.
+
+        Returns the hub topic, type, hash and zenoh key; {} where the side has no such topic. Ask again to go on.
+        """
+        if len(self._taps) > _MAX_TAPS:
+            self._taps = {t: until for t, until in self._taps.items() if until > time.monotonic()}
+        if len(self._taps) > _MAX_TAPS or not any(
+            e.topic == topic and e.kind is Kind.PUBLISHER for e in self.edge.endpoints()
+        ):
+            return {}
+        self._taps[topic] = time.monotonic() + min(seconds, 60.0)
+        self._wake.set()
+        deadline = time.monotonic() + 2.0
+        while time.monotonic() < deadline:
+            route = next((r for r in list(self._in.values()) if r.side_topic == topic), None)
+            if route is not None:
+                target = route.conversion.target
+                key = topic_key(self.hub.domain, route.hub_topic, target.name, target.type_id)
+                return {"topic": route.hub_topic, "type": target.name, "hash": target.type_id, "key": key}
+            self._stopping.wait(0.02)
+        return {}
 
     # -- from the hub to the side --------------------------------------------------------------------------------------
 

@@ -7,12 +7,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bridge.adapters.base import Conversion, Edge, EdgeSubscription, Endpoint
+from bridge.hub.errors import HubError
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.hub.session import Hub
-from bridge.messages.errors import ConversionError
+from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate, Pulse
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
@@ -165,7 +167,7 @@ class InRoute(Route):
                     known.publisher.put(self._static.merge(data), time_ns)
             else:
                 known.publisher.put(data, time_ns)
-        except (ConversionError, ValueError) as err:
+        except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
         counters.crossed(len(data))
@@ -190,6 +192,6 @@ class InRoute(Route):
             self._shared.close()
             self._shared = None
 
-    def status(self) -> dict[str, object]:
+    def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
         return self.describe(self._priority, self._qos, len(self._sources), active=bool(self._sources))

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bridge.adapters.base import Conversion, Edge, EdgePublisher
 from bridge.hub.graph import HubEndpoint
@@ -224,7 +225,7 @@ class OutRoute(Route):
             self._queue.clear()
             self._queued_bytes = 0
 
-    def status(self) -> dict[str, object]:
+    def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost

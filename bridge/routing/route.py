@@ -57,6 +57,10 @@ class Route:
             return Priority(self.decision.priority)
         return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
+    def status(self) -> dict[str, Any]:
+        """The route as it stands in the status document."""
+        raise NotImplementedError
+
     def bad(self, error: str) -> None:
         """Count a refused message and log at a limited rate."""
         self.counters.dropped("bad")

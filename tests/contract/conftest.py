@@ -1,0 +1,73 @@
+"""The contract suite's fixtures. An adapter joins by one line in ``SIDES``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.contract.fakeside import FakeSide
+from tests.contract.hubside import HubSide
+from tests.contract.ros1side import Ros1Side
+from tests.contract.ros2side import Ros2Side
+from tests.contract.side import Bridge, Side
+from tests.support.hub import HubNetwork
+
+SIDES: dict[str, Callable[..., Side]] = {"fake": FakeSide, "ros1": Ros1Side, "ros2": Ros2Side}
+
+FOLDER = Path(__file__).parent / "msgs"
+
+
+@pytest.fixture()
+def hubs() -> Iterator[HubNetwork]:
+    with HubNetwork() as network:
+        yield network
+
+
+@pytest.fixture(params=list(SIDES))
+def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
+    made = SIDES[request.param](hubs)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture()
+def far(hubs: HubNetwork) -> Iterator[HubSide]:
+    """The far end of every route: a native participant of the hub."""
+    hub = Hub.open(hubs.settings("far"))
+    try:
+        yield HubSide(hub, Registry(folders=[FOLDER]))
+    finally:
+        hub.close()
+
+
+@pytest.fixture()
+def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config]:
+    """Makes configurations for the side under test: ``config(rules=[...], default="allow")``."""
+
+    def make(**routing: Any) -> Config:
+        return Config.model_validate(
+            {
+                "name": "contract",
+                "state": str(tmp_path / "state"),
+                "hub": {"listen": hubs.endpoint, "domain": hubs.domain},
+                "types": {"folders": [str(FOLDER)]},
+                "routing": routing,
+                **side.config(),
+            }
+        )
+
+    return make
+
+
+@pytest.fixture()
+def bridge(side: Side, config: Callable[..., Config]) -> Bridge:
+    """A worker with the default rules."""
+    return side.bridge(config())

@@ -1,0 +1,143 @@
+"""The contract suite's side in memory: the engine alone, with a real hub."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.adapters.base import MadeBy
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.hub.session import Hub
+from bridge.routing.engine import Engine
+from tests.contract.hubside import ros2_name
+from tests.contract.side import Side
+from tests.support.fake import FakeEdge, FakeNetwork, Reader, Writer
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+class FakePeer:
+    """A native program on the fake network."""
+
+    def __init__(self, network: FakeNetwork, registry: Registry, node: str) -> None:
+        self._network, self._registry, self._node = network, registry, node
+        self._things: dict[int, tuple[Writer | Reader, str]] = {}
+        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._ids = itertools.count(1)
+        self._changed = threading.Condition()
+
+    def advertise(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
+        number = next(self._ids)
+        writer = self._network.write_on(topic, ros2_name(type_), _qos(latched=latched), MadeBy.NATIVE, self._node)
+        self._things[number] = (writer, ros2_name(type_))
+        return number
+
+    def subscribe(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
+        number = next(self._ids)
+        heard: list[dict[str, Any]] = []
+        self._heard[number] = heard
+        name = ros2_name(type_)
+
+        def deliver(payload: bytes, _source: str, _time: int | None) -> None:
+            with self._changed:
+                heard.append(to_json(self._registry, name, payload))
+                self._changed.notify_all()
+
+        reader = self._network.read_from(topic, name, _qos(latched=latched), MadeBy.NATIVE, self._node, deliver)
+        self._things[number] = (reader, name)
+        return number
+
+    def publish(self, endpoint: int, message: dict[str, Any]) -> None:
+        writer, name = self._things[endpoint]
+        assert isinstance(writer, Writer)
+        self._network.write(writer, from_json(self._registry, name, message))
+
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
+            return list(self._heard[endpoint])
+
+    def drop(self, endpoint: int) -> None:
+        self._network.remove(self._things.pop(endpoint)[0])
+
+    def graph(self) -> dict[str, Any]:
+        publishers: dict[str, list[str]] = {}
+        for endpoint in self._network.endpoints():
+            if endpoint.kind.value == "publisher":
+                publishers.setdefault(endpoint.topic, []).append(endpoint.node)
+        return {"publishers": publishers}
+
+    def stop(self, seconds: float = 6.0) -> int:
+        for endpoint in list(self._things):
+            self.drop(endpoint)
+        return int(seconds * 0)
+
+
+class FakeBridge:
+    """An engine on the fake network, in the test's own process."""
+
+    def __init__(self, network: FakeNetwork, registry: Registry, hubs: HubNetwork, config: Config) -> None:
+        self._hub = Hub.open(hubs.settings("midspan_fake"))
+        edge = FakeEdge(network, registry)
+        self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed)
+        self._engine.start()
+        self._closers = [
+            self._hub.serve("status", lambda _: self._engine.status()),
+            self._hub.serve("explain", lambda params: self._engine.explain(params["topic"])),
+        ]
+        until(lambda: self._engine.summary().network, "the engine joins")
+
+    def _failed(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+    def reload(self, config: Config) -> None:
+        self._engine.reload(config.routing)
+
+    def stop(self) -> None:
+        for closer in self._closers:
+            closer()
+        self._closers = []
+        self._engine.stop()
+        self._hub.close()
+
+    def kill(self) -> None:
+        self.stop()
+
+
+class FakeSide(Side):
+    """A network in memory."""
+
+    name = "fake"
+    has_custom_types = False
+
+    def __init__(self, hubs: HubNetwork) -> None:
+        super().__init__()
+        self._hubs = hubs
+        self._network = FakeNetwork()
+        self._registry = Registry()
+        self._restarts = itertools.count(2)
+
+    def peer(self) -> FakePeer:
+        peer = FakePeer(self._network, self._registry, f"/peer{next(self._names)}")
+        self._open.append(peer)
+        return peer
+
+    def bridge(self, config: Config) -> FakeBridge:
+        bridge = FakeBridge(self._network, self._registry, self._hubs, config)
+        self._open.append(bridge)
+        return bridge
+
+    def restart_network(self) -> None:
+        self._network.restart(None)
+        self._network.restart(f"fake-{next(self._restarts)}")
+
+    def config(self) -> dict[str, Any]:
+        return {}
+
+
+def _qos(*, latched: bool) -> Qos:
+    return Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=1)

@@ -1,0 +1,116 @@
+"""The far end of the contract suite: a native participant of the hub that publishes and listens by fields."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.session import Hub
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from tests.contract.side import PeerLike
+from tests.support.wait import until
+
+
+class HubSide:
+    """Publishes and listens on the hub with messages given by their fields. Types are spelled ``package/Name``."""
+
+    def __init__(self, hub: Hub, registry: Registry) -> None:
+        self.hub, self.registry = hub, registry
+        self._publishers: dict[int, tuple[Any, str]] = {}
+        self._heard: dict[int, list[dict[str, Any]]] = {}
+        self._subscriptions: dict[int, Any] = {}
+        self._changed = threading.Condition()
+        self._next = 0
+
+    def advertise(self, topic: str, type_: str, *, latched: bool = False, depth: int = 10) -> int:
+        name = ros2_name(type_)
+        qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=depth)
+        self._next += 1
+        publisher = self.hub.publisher(topic, name, self.registry.ros2(name).type_id, qos)
+        self._publishers[self._next] = (publisher, name)
+        return self._next
+
+    def publish(self, endpoint: int, message: dict[str, Any]) -> None:
+        publisher, name = self._publishers[endpoint]
+        publisher.put(from_json(self.registry, name, message))
+
+    def publish_raw(self, endpoint: int, payload: bytes) -> None:
+        self._publishers[endpoint][0].put(payload)
+
+    def subscribe(self, topic: str, type_: str, *, latched: bool = False, depth: int = 100) -> int:
+        name = ros2_name(type_)
+        qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=depth)
+        self._next += 1
+        heard: list[dict[str, Any]] = []
+
+        def take(sample: Any) -> None:
+            with self._changed:
+                heard.append(to_json(self.registry, name, sample.data()))
+                self._changed.notify_all()
+
+        self._heard[self._next] = heard
+        self._subscriptions[self._next] = self.hub.subscription(
+            topic, name, self.registry.ros2(name).type_id, qos, take
+        )
+        return self._next
+
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
+            return list(self._heard[endpoint])
+
+    def drop(self, endpoint: int) -> None:
+        if endpoint in self._publishers:
+            self._publishers.pop(endpoint)[0].close()
+        if endpoint in self._subscriptions:
+            self._subscriptions.pop(endpoint).close()
+
+    def hub_publish_until(self, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
+        """Publish again and again until it is heard, since a stream's first messages may find no route yet."""
+
+        def once() -> Any:
+            self.publish(endpoint, message)
+            return heard()
+
+        until(once, "a message from the hub is heard on the side", 20)
+
+    def publish_until(self, peer: PeerLike, endpoint: int, message: dict[str, Any], heard: Callable[[], Any]) -> None:
+        """The same from a peer on the side."""
+
+        def once() -> Any:
+            peer.publish(endpoint, message)
+            return heard()
+
+        until(once, "a message from the side is heard on the hub", 20)
+
+    def publishers(self, topic: str) -> list[Any]:
+        return [e for e in self.hub.graph.publishers(topic) if not e.own]
+
+    def until_published(self, topic: str, count: int = 1, seconds: float = 15) -> None:
+        until(lambda: len(self.publishers(topic)) >= count, f"{count} publishers of {topic} on the hub", seconds)
+
+    def until_unpublished(self, topic: str, seconds: float = 15) -> None:
+        until(lambda: not self.publishers(topic), f"no publisher of {topic} on the hub", seconds)
+
+    def status(self) -> dict[str, Any]:
+        """The one worker's status."""
+        answers = until(lambda: [a for a in self.hub.ask("status", {}) if isinstance(a.value, dict)], "a status answer")
+        value: dict[str, Any] = answers[0].value
+        return value
+
+    def route(self, topic: str, direction: str) -> dict[str, Any] | None:
+        return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
+
+    def until_route(self, topic: str, direction: str, seconds: float = 15) -> dict[str, Any]:
+        return until(lambda: self.route(topic, direction), f"a route {direction} for {topic}", seconds, every=0.1)
+
+    def explain(self, topic: str) -> list[dict[str, Any]]:
+        return [line for a in self.hub.ask("explain", {"topic": topic}) if isinstance(a.value, list) for line in a.value]
+
+
+def ros2_name(type_: str) -> str:
+    package, _, name = type_.partition("/")
+    return f"{package}/msg/{name}"

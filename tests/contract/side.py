@@ -1,0 +1,122 @@
+"""What the contract suite needs of a side: its network, real programs on it, and the bridge's worker.
+
+An adapter joins the suite by one subclass here and one line in ``conftest.py``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import subprocess
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from bridge.config.model import Config
+from tests.support.process import Process
+from tests.support.wait import until
+
+
+class PeerLike(Protocol):
+    """A program on the side; see ``tests.support.peer``."""
+
+    def advertise(self, topic: str, type_: str, **qos: Any) -> int: ...
+    def subscribe(self, topic: str, type_: str, **qos: Any) -> int: ...
+    def publish(self, endpoint: int, message: dict[str, Any]) -> None: ...
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]: ...
+    def drop(self, endpoint: int) -> None: ...
+    def graph(self) -> dict[str, Any]: ...
+    def stop(self, seconds: float = 6.0) -> int: ...
+
+
+class Bridge(Protocol):
+    """A running worker of the side under test."""
+
+    def reload(self, config: Config) -> None: ...
+    def stop(self) -> None: ...
+    def kill(self) -> None: ...
+
+
+class Side(ABC):
+    """One side under test."""
+
+    name: ClassVar[str]
+    has_custom_types: ClassVar[bool] = True
+    can_restart_network: ClassVar[bool] = True
+
+    def __init__(self) -> None:
+        self._names = itertools.count(1)
+        self._open: list[Any] = []
+
+    @abstractmethod
+    def peer(self) -> PeerLike:
+        """A new real program on the side."""
+
+    @abstractmethod
+    def bridge(self, config: Config) -> Bridge:
+        """Start the bridge's worker for this side and return when it has joined."""
+
+    @abstractmethod
+    def restart_network(self) -> None:
+        """The network dies and comes back; programs on it are gone."""
+
+    @abstractmethod
+    def config(self) -> dict[str, Any]:
+        """The configuration's section of this side, by name."""
+
+    def close(self) -> None:
+        """End all that was started."""
+        for thing in reversed(self._open):
+            thing.stop()
+        self._open.clear()
+
+
+class WorkerProcess:
+    """``midspan worker SIDE --supervised`` under the test's control."""
+
+    def __init__(self, side: str, config: Config, env: Mapping[str, str]) -> None:
+        self.process = Process([sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"], env, pipes=True)
+        self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
+        until(lambda: self.beat()["state"] == "running", f"{side} worker runs", 20, every=0)
+
+    def _send(self, line: dict[str, Any]) -> None:
+        pipe = self.process.popen.stdin
+        assert pipe is not None
+        pipe.write(json.dumps(line) + "\n")
+        pipe.flush()
+
+    def beat(self) -> dict[str, Any]:
+        """The worker's next heartbeat."""
+        pipe = self.process.popen.stdout
+        assert pipe is not None
+        line = pipe.readline()
+        assert line, f"worker ended: {self.process.output()[-4000:]}"
+        beat: dict[str, Any] = json.loads(line)
+        assert "restart" not in beat, beat
+        return beat
+
+    def reload(self, config: Config) -> None:
+        """Send another configuration."""
+        self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
+
+    def stop(self) -> None:
+        """Stop as the supervisor does."""
+        if self.process.popen.poll() is None:
+            self._send({"stop": True})
+            try:
+                self.process.popen.wait(5)
+            except subprocess.TimeoutExpired:
+                raise AssertionError("worker did not stop in 5 s: " + self.process.output()[-4000:]) from None
+            finally:
+                self.process.stop()
+
+    def kill(self) -> None:
+        """``kill -9``."""
+        self.process.signal(9)
+        self.process.popen.wait()
+        self.process.stop()
+
+
+REPOSITORY = Path(__file__).resolve().parents[2]

@@ -1,0 +1,109 @@
+"""Latched state is kept per publisher and given whole to late joiners."""
+
+from __future__ import annotations
+
+from tests.contract.hubside import HubSide
+from tests.contract.side import Bridge, Side
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+
+
+def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peers = [side.peer() for _ in range(3)]
+    ids = [p.advertise("/state", STRING, latched=True, depth=1) for p in peers]
+    for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
+        peer.publish(id_, {"data": f"old {number}"})
+        peer.publish(id_, {"data": f"state {number}"})
+    far.until_published("/state", 3)
+    until(lambda: (far.route("/state", "in") or {}).get("messages", 0) >= 3, "three messages crossed", 10, every=0.1)
+    assert _late(far, "/state", 3) == ["state 0", "state 1", "state 2"]
+    assert _late(far, "/state", 3) == ["state 0", "state 1", "state 2"]
+    peers[1].drop(ids[1])
+    until(lambda: len(far.publishers("/state")) == 2, "the gone publisher left the hub", 15)
+    assert _late(far, "/state", 2) == ["state 0", "state 2"]
+
+
+def test_three_latched_publishers_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+    ids = [far.advertise("/plans", STRING, latched=True, depth=1) for _ in range(3)]
+    for number, id_ in enumerate(ids):
+        far.publish(id_, {"data": f"plan {number}"})
+    until(lambda: (far.route("/plans", "out") or {}).get("messages", 0) >= 3, "three messages crossed", 15, every=0.1)
+    assert _late_peer(side, "/plans", 3) == ["plan 0", "plan 1", "plan 2"]
+    assert _late_peer(side, "/plans", 3) == ["plan 0", "plan 1", "plan 2"]
+    far.drop(ids[1])
+    until(lambda: far.route("/plans", "out")["sources"] == 2, "the gone publisher is forgotten", 15, every=0.1)
+    assert _late_peer(side, "/plans", 2) == ["plan 0", "plan 2"]
+
+
+def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> None:
+    peer = side.peer()
+    out = peer.advertise("/early", STRING, latched=True, depth=1)
+    peer.publish(out, {"data": "early"})
+    far_out = far.advertise("/early_hub", STRING, latched=True, depth=1)
+    far.publish(far_out, {"data": "early hub"})
+    side.bridge(config())
+    heard = far.subscribe("/early", STRING, latched=True)
+    assert far.wait(heard, 1, 15) == [{"data": "early"}]
+    heard = peer.subscribe("/early_hub", STRING, latched=True)
+    assert peer.wait(heard, 1, 15) == [{"data": "early hub"}]
+
+
+def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peers = [side.peer() for _ in range(3)]
+    ids = [p.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1) for p in peers]
+    for number, (peer, id_) in enumerate(zip(peers, ids, strict=True)):
+        peer.publish(id_, _transforms(f"sensor{number}", f"lens{number}"))
+    everything = [f"{part}{n}" for part in ("lens", "sensor") for n in range(3)]
+    until(lambda: _frames(_late_tf(far)) == everything, "the whole set on the hub", 15)
+    peers[0].drop(ids[0])
+    until(lambda: (far.route("/tf_static", "in") or {}).get("sources") == 2, "a broadcaster left", 15, every=0.1)
+    assert _frames(_late_tf(far)) == everything
+
+
+def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+    ids = [far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1) for _ in range(3)]
+    for number, id_ in enumerate(ids):
+        far.publish(id_, _transforms(f"sensor{number}"))
+    until(lambda: (far.route("/tf_static", "out") or {}).get("messages", 0) >= 3, "three messages", 15, every=0.1)
+    assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
+    far.drop(ids[2])
+    until(lambda: far.route("/tf_static", "out")["sources"] == 2, "a broadcaster left", 15, every=0.1)
+    assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
+
+
+def _late(far: HubSide, topic: str, count: int) -> list[str]:
+    heard = far.subscribe(topic, STRING, latched=True)
+    far.wait(heard, count)
+    got = far.wait(heard, count + 1, 0.5)
+    far.drop(heard)
+    return sorted(m["data"] for m in got)
+
+
+def _late_peer(side: Side, topic: str, count: int) -> list[str]:
+    peer = side.peer()
+    heard = peer.subscribe(topic, STRING, latched=True, depth=100)
+    peer.wait(heard, count)
+    return sorted(m["data"] for m in peer.wait(heard, count + 1, 0.5))
+
+
+def _transforms(*children: str) -> dict:
+    one = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": c, "transform": one} for c in children]}
+
+
+def _late_tf(far: HubSide) -> list[dict]:
+    heard = far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
+    got = far.wait(heard, 1, 2)
+    far.drop(heard)
+    return got
+
+
+def _late_peer_tf(side: Side) -> list[dict]:
+    peer = side.peer()
+    heard = peer.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=100)
+    return peer.wait(heard, 1)
+
+
+def _frames(messages: list[dict]) -> list[str]:
+    return sorted(t["child_frame_id"] for t in messages[-1]["transforms"]) if messages else []

@@ -1,0 +1,77 @@
+"""Rules hold as written, and can be changed while routes run."""
+
+from __future__ import annotations
+
+from tests.contract.hubside import HubSide
+from tests.contract.side import Side
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+
+
+def test_deny_rename_and_rate(side: Side, far: HubSide, config) -> None:
+    side.bridge(
+        config(
+            rules=[
+                {"topic": "/secret/**", "deny": True},
+                {"topic": "/secret/not", "rename": "/never"},
+                {"topic": "/local/*", "rename": "/robot/*"},
+                {"regex": "/fast(.*)", "rate": 5.0},
+            ]
+        )
+    )
+    peer = side.peer()
+    secret = peer.advertise("/secret/not", STRING)
+    local = peer.advertise("/local/pose", STRING)
+    fast = peer.advertise("/fast_stream", STRING)
+    at_robot, at_fast = far.subscribe("/robot/pose", STRING), far.subscribe("/fast_stream", STRING)
+    far.until_published("/robot/pose")
+    far.until_published("/fast_stream")
+    peer.publish(secret, {"data": "hidden"})
+    peer.publish(local, {"data": "pose"})
+    for n in range(20):
+        peer.publish(fast, {"data": str(n)})
+    assert far.wait(at_robot, 1) == [{"data": "pose"}]
+    route = until(lambda: _count(far, "/fast_stream", 20), "all fast messages seen", 10, every=0.1)
+    assert route["drops"]["rate"] >= 15
+    assert len(far.wait(at_fast, 1)) == route["messages"]
+    assert not far.publishers("/secret/not")
+    assert not far.publishers("/never")
+    assert [line["decision"] for line in far.explain("/secret/not")] == ["denied"]
+
+
+def test_default_deny_is_an_allow_list(side: Side, far: HubSide, config) -> None:
+    side.bridge(config(default="deny", rules=[{"topic": "/wanted"}]))
+    peer = side.peer()
+    peer.advertise("/unwanted", STRING)
+    peer.advertise("/wanted", STRING)
+    far.until_published("/wanted")
+    assert not far.publishers("/unwanted")
+    far.advertise("/unwanted_too", STRING)
+    far.advertise("/wanted", STRING)
+    until(lambda: far.route("/wanted", "out"), "a route out", 15, every=0.1)
+    assert far.route("/unwanted_too", "out") is None
+
+
+def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> None:
+    bridge = side.bridge(config())
+    peer = side.peer()
+    kept, closed = peer.advertise("/kept", STRING), peer.advertise("/closed", STRING)
+    heard = far.subscribe("/kept", STRING)
+    far.until_published("/kept")
+    far.until_published("/closed")
+    peer.publish(kept, {"data": "one"})
+    assert far.wait(heard, 1) == [{"data": "one"}]
+    gid = far.publishers("/kept")[0].gid
+    bridge.reload(config(rules=[{"topic": "/closed", "deny": True}]))
+    far.until_unpublished("/closed")
+    peer.publish(kept, {"data": "two"})
+    assert far.wait(heard, 2) == [{"data": "one"}, {"data": "two"}]
+    assert far.publishers("/kept")[0].gid == gid
+    assert far.route("/kept", "in")["messages"] == 2
+    peer.publish(closed, {"data": "unheard"})
+
+
+def _count(far: HubSide, topic: str, count: int) -> dict | None:
+    route = far.route(topic, "in")
+    return route if route and route["messages"] + route["drops"]["rate"] >= count else None

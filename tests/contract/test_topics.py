@@ -1,0 +1,98 @@
+"""Topics cross both ways, whole, in order and once."""
+
+from __future__ import annotations
+
+from tests.contract.hubside import HubSide
+from tests.contract.side import Bridge, Side
+
+STRING = "std_msgs/String"
+
+
+def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peer = side.peer()
+    out = peer.advertise("/chatter", STRING)
+    heard = far.subscribe("/chatter", STRING)
+    far.until_route("/chatter", "in")
+    for n in range(50):
+        peer.publish(out, {"data": f"number {n}"})
+    assert far.wait(heard, 50) == [{"data": f"number {n}"} for n in range(50)]
+
+
+def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peer = side.peer()
+    heard = peer.subscribe("/orders", STRING)
+    out = far.advertise("/orders", STRING)
+    _until_heard(far, out, peer, heard)
+    for n in range(50):
+        far.publish(out, {"data": f"number {n}"})
+    got = [m["data"] for m in peer.wait(heard, 51) if m["data"] != "probe"]
+    assert got == [f"number {n}" for n in range(50)]
+
+
+def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peer = side.peer()
+    from_peer = peer.advertise("/both", STRING)
+    at_peer = peer.subscribe("/both", STRING)
+    from_far = far.advertise("/both", STRING)
+    at_far = far.subscribe("/both", STRING)
+    far.until_route("/both", "in")
+    _until_heard(far, from_far, peer, at_peer)
+    for n in range(10):
+        peer.publish(from_peer, {"data": f"peer {n}"})
+        far.publish(from_far, {"data": f"far {n}"})
+    expected = [f"peer {n}" for n in range(10)]
+    assert [m["data"] for m in far.wait(at_far, 10)] == expected
+    peer.publish(from_peer, {"data": "end"})
+    assert [m["data"] for m in far.wait(at_far, 11)] == [*expected, "end"]
+    heard = [m["data"] for m in peer.wait(at_peer, 10 + 10 + 1 + 1)]
+    assert sorted(m for m in heard if m.startswith("far")) == [f"far {n}" for n in range(10)]
+    assert [m for m in heard if m.startswith("peer")] == expected
+
+
+def test_two_types_of_messages(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peer = side.peer()
+    twist = {"linear": {"x": 1.0, "y": 2.0, "z": 3.0}, "angular": {"x": 4.0, "y": 5.0, "z": 6.0}}
+    out = peer.advertise("/speed", "geometry_msgs/Twist")
+    heard = far.subscribe("/speed", "geometry_msgs/Twist")
+    far.until_route("/speed", "in")
+    peer.publish(out, twist)
+    assert far.wait(heard, 1) == [twist]
+
+
+def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
+    thing = {
+        "header": {"frame_id": "map"},
+        "number": 7,
+        "parts": [{"name": "a", "size": [1.0, 2.0, 3.0]}, {"name": "", "size": [4.0, 5.0, 6.0]}],
+        "words": ["x", "", "yz"],
+        "done": True,
+    }
+    peer = side.peer()
+    out = peer.advertise("/things", "contract_msgs/Thing")
+    heard = far.subscribe("/things", "contract_msgs/Thing")
+    far.until_route("/things", "in", 90)
+    peer.publish(out, thing)
+    assert _without_stamp(far.wait(heard, 1)) == [thing]
+    back = far.advertise("/things_back", "contract_msgs/Thing")
+    heard_back = peer.subscribe("/things_back", "contract_msgs/Thing")
+    far.until_route("/things_back", "out", 90)
+    far.hub_publish_until(back, thing, lambda: peer.wait(heard_back, 1, 0.2))
+    assert _without_stamp(peer.wait(heard_back, 1))[0] == thing
+
+
+def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None:
+    tree = {"header": {"frame_id": "map"}, "binary": True, "id": "OcTree", "resolution": 0.05, "data": [1, -2, 127, -128]}
+    peer = side.peer()
+    out = peer.advertise("/octomap_binary", "octomap_msgs/Octomap", latched=True)
+    far.until_route("/octomap_binary", "in", 90)
+    peer.publish(out, tree)
+    heard = far.subscribe("/octomap_binary", "octomap_msgs/Octomap", latched=True)
+    assert _without_stamp(far.wait(heard, 1)) == [tree]
+
+
+def _without_stamp(messages: list[dict]) -> list[dict]:
+    return [{**m, "header": {"frame_id": m["header"]["frame_id"]}} for m in messages]
+
+
+def _until_heard(far: HubSide, out: int, peer: object, heard: int) -> None:
+    far.hub_publish_until(out, {"data": "probe"}, lambda: peer.wait(heard, 1, 0.2))

@@ -1,0 +1,117 @@
+"""Small parts of the routes: classes, rate limits, ages, static transforms."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from bridge.routing import age, rate
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.priority import Priority, default_priority
+from bridge.routing.static_tf import TF_TYPE, StaticTransforms
+from tests.support.wait import until
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.mark.parametrize(
+    ("topic", "type_name", "latched", "priority"),
+    [
+        ("/cmd_vel", "geometry_msgs/msg/Twist", False, Priority.COMMAND),
+        ("/robot/cmd_vel_nav", "geometry_msgs/msg/TwistStamped", True, Priority.COMMAND),
+        ("/odom_twist", "geometry_msgs/msg/Twist", False, Priority.STREAM),
+        ("/cmd_vel", "std_msgs/msg/String", False, Priority.STREAM),
+        ("/map", "nav_msgs/msg/OccupancyGrid", True, Priority.STATE),
+        ("/map", "nav_msgs/msg/OccupancyGrid", False, Priority.STREAM),
+    ],
+)
+def test_default_priority(topic: str, type_name: str, latched: bool, priority: Priority) -> None:
+    assert default_priority(topic, type_name, latched=latched) is priority
+
+
+class Clock:
+    """A clock that the test turns."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        monkeypatch.setattr(time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(time, "time_ns", lambda: int(self.now * 1e9))
+
+
+@pytest.mark.parametrize(("source_hz", "limit", "passed"), [(100, 10, 100), (10, 10, 100), (5, 10, 50), (30, 20, 200)])
+def test_rate_limit_meets_its_mean(monkeypatch: pytest.MonkeyPatch, source_hz: int, limit: int, passed: int) -> None:
+    clock = Clock(monkeypatch)
+    gate = rate.RateLimit(limit)
+    got = 0
+    for n in range(10 * source_hz):
+        clock.now = 1000.0 + n / source_hz
+        got += gate.passes()
+    assert abs(got - passed) <= max(2, passed * 0.06)
+
+
+def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    gate = age.AgeGate()
+    offset = -3600.0
+    for _ in range(5):
+        clock.now += 0.1
+        assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
+    clock.now += 2.0
+    assert gate.age(int((clock.now + offset - 2.0) * 1e9)) == pytest.approx(2.0, abs=0.01)
+
+
+def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    pulse = age.Pulse()
+    for _ in range(5):
+        clock.now += 0.1
+        pulse.beat()
+        assert not pulse.stood_still(0.5)
+    clock.now += 3.0
+    assert pulse.stood_still(0.5)
+    pulse.beat()
+    assert pulse.stood_still(0.5), "what piled up is still being read"
+    for _ in range(6):
+        clock.now += 0.1
+        pulse.beat()
+    assert not pulse.stood_still(0.5)
+
+
+def transforms(*children: str, x: float = 0.0) -> bytes:
+    types = STORE.types
+    time_ = types["builtin_interfaces/msg/Time"](1, 2)
+    one = types["geometry_msgs/msg/Transform"](
+        types["geometry_msgs/msg/Vector3"](x, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    header = types["std_msgs/msg/Header"](time_, "base")
+    stamped = [types["geometry_msgs/msg/TransformStamped"](header, child, one) for child in children]
+    return bytes(STORE.serialize_cdr(types[TF_TYPE](stamped), TF_TYPE))
+
+
+def test_static_transforms_merge_by_child_frame() -> None:
+    merged = StaticTransforms()
+    merged.merge(transforms("a", "b"))
+    whole = STORE.deserialize_cdr(merged.merge(transforms("b", "c", x=5.0)), TF_TYPE)
+    assert {t.child_frame_id: t.transform.translation.x for t in whole.transforms} == {"a": 0.0, "b": 5.0, "c": 5.0}
+
+
+@pytest.mark.parametrize("junk", [b"", b"\x00\x01\x00\x00", transforms("a")[:-9]])
+def test_static_transforms_refuse_junk(junk: bytes) -> None:
+    with pytest.raises(ValueError, match="TFMessage"):
+        StaticTransforms().merge(junk)
+
+
+def test_urgent_work_goes_first() -> None:
+    dispatcher = Dispatcher("test")
+    done: list[str] = []
+    dispatcher.submit(Priority.STREAM, lambda: done.append("stream"))
+    dispatcher.submit(Priority.STATE, lambda: done.append("state"))
+    dispatcher.submit(Priority.COMMAND, lambda: done.append("command"))
+    dispatcher.start()
+    try:
+        until(lambda: len(done) == 3, "all done")
+        assert done == ["command", "state", "stream"]
+    finally:
+        dispatcher.stop()

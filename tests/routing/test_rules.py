@@ -1,0 +1,92 @@
+"""Rules: deny wins, the first match gives the attributes, two gates."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridge.config.model import RoutingSection
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.routing.rules import RuleSet
+
+STRING = "std_msgs/msg/String"
+
+
+def rules(*entries: dict, **section: object) -> RuleSet:
+    return RuleSet(RoutingSection.model_validate({"rules": list(entries), **section}))
+
+
+@pytest.mark.parametrize(
+    ("entries", "section", "side", "topic", "allowed"),
+    [
+        ([], {}, "ros1", "/scan", True),
+        ([], {}, "ros1", "/rosout", False),
+        ([], {}, "ros2", "/parameter_events", False),
+        ([], {"private": False}, "ros1", "/rosout", True),
+        ([{"topic": "/rosout"}], {}, "ros1", "/rosout", True),
+        ([{"topic": "/scan", "deny": True}], {}, "ros1", "/scan", False),
+        ([{"topic": "/scan"}, {"topic": "/s*", "deny": True}], {}, "ros1", "/scan", False),
+        ([{"topic": "/scan", "deny": True, "from": "ros2"}], {}, "ros1", "/scan", True),
+        ([{"topic": "/scan", "deny": True, "to": "ros2"}], {}, "ros1", "/scan", True),
+        ([{"topic": "/scan", "deny": True, "to": "zenoh"}], {}, "ros1", "/scan", False),
+        ([{"regex": "/cam[0-9]/.*", "deny": True}], {}, "ros1", "/cam1/image", False),
+        ([{"regex": "/cam[0-9]", "deny": True}], {}, "ros1", "/cam1/image", True),
+        ([{"type": "sensor_msgs/msg/*", "deny": True}], {}, "ros1", "/scan", True),
+        ([{"type": "std_msgs/msg/*", "deny": True}], {}, "ros1", "/scan", False),
+        ([], {"default": "deny"}, "ros1", "/scan", False),
+        ([{"topic": "/scan"}], {"default": "deny"}, "ros1", "/scan", True),
+        ([{"topic": "/scan", "to": "ros2"}], {"default": "deny"}, "ros1", "/scan", True),
+        ([{"topic": "/camera/**", "deny": True}], {}, "ros1", "/camera", False),
+        ([{"topic": "/camera/**", "deny": True}], {}, "ros1", "/camera/a/b", False),
+        ([{"topic": "/camera/*", "deny": True}], {}, "ros1", "/camera/a/b", True),
+    ],
+)
+def test_entering(entries: list[dict], section: dict, side: str, topic: str, allowed: bool) -> None:
+    assert rules(*entries, **section).enter(side, topic, STRING).allowed is allowed
+
+
+@pytest.mark.parametrize(
+    ("entries", "section", "origin", "allowed"),
+    [
+        ([], {}, "ros1", True),
+        ([], {"default": "deny"}, "ros1", True),  # a gate elsewhere let it in
+        ([], {"default": "deny"}, "zenoh", False),
+        ([{"topic": "/scan"}], {"default": "deny"}, "zenoh", True),
+        ([{"topic": "/scan", "to": "ros2"}], {"default": "deny"}, "ros1", True),
+        ([{"topic": "/scan", "to": "yarp"}], {"default": "deny"}, "ros1", False),
+        ([{"topic": "/scan", "to": "ros2", "deny": True}], {}, "ros1", False),
+        ([{"topic": "/scan", "deny": True}], {}, "zenoh", False),
+        ([{"topic": "/scan", "deny": True}, {"topic": "/scan", "to": "ros2"}], {}, "ros1", False),
+    ],
+)
+def test_leaving_to_ros2(entries: list[dict], section: dict, origin: str, allowed: bool) -> None:
+    assert rules(*entries, **section).leave(origin, "ros2", "/scan", STRING).allowed is allowed
+
+
+@pytest.mark.parametrize(
+    ("rule", "topic", "name"),
+    [
+        ({"topic": "/a/*", "rename": "/b/*"}, "/a/x", "/b/x"),
+        ({"topic": "/a/**", "rename": "/r1/a/**"}, "/a/x/y", "/r1/a/x/y"),
+        ({"topic": "/a/**", "rename": "/r1/**"}, "/a", "/r1"),
+        ({"topic": "/*/scan", "rename": "/scan_*"}, "/left/scan", "/scan_left"),
+        ({"regex": r"/(\w+)/image", "rename": r"/cameras/\1"}, "/left/image", "/cameras/left"),
+        ({"topic": "/a", "rename": "/z"}, "/a", "/z"),
+    ],
+)
+def test_renames(rule: dict, topic: str, name: str) -> None:
+    assert rules(rule).enter("ros1", topic, STRING).name == name
+
+
+def test_a_rename_at_the_entry_is_not_done_again_at_the_exit() -> None:
+    compiled = rules({"topic": "/**", "rename": "/robot/**", "rate": 5, "priority": "state"})
+    assert compiled.enter("ros1", "/scan", STRING).name == "/robot/scan"
+    leaving = compiled.leave("ros1", "ros2", "/robot/scan", STRING)
+    assert (leaving.name, leaving.rate, leaving.priority) == ("/robot/scan", None, "state")
+    assert compiled.leave("zenoh", "ros2", "/scan", STRING).name == "/robot/scan"
+
+
+def test_qos_and_depth_are_overridden() -> None:
+    decision = rules({"qos": {"durability": "transient_local", "reliability": "best_effort"}, "depth": 3}).enter(
+        "ros1", "/a", STRING
+    )
+    assert decision.override(Qos()) == Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=3)

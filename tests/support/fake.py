@@ -1,0 +1,186 @@
+"""An edge on a network in memory, for tests of the engine alone. Payloads are CDR; names are ROS 2's."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from bridge.adapters.base import (
+    Conversion,
+    Deliver,
+    Edge,
+    EdgeListener,
+    Endpoint,
+    Kind,
+    MadeBy,
+    SideType,
+)
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Qos
+from bridge.messages.registry import Registry
+
+
+@dataclass(eq=False)
+class Writer:
+    """A publisher on the fake network; what it retains goes to late joiners while it lives."""
+
+    endpoint: Endpoint
+    retained: dict[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class Reader:
+    """A subscription on the fake network."""
+
+    endpoint: Endpoint
+    deliver: Deliver
+
+
+class FakeNetwork:
+    """Writers and readers that share a name in memory; latched writers retain one message per source."""
+
+    def __init__(self) -> None:
+        self.identity: str | None = "fake-1"
+        self._ids = itertools.count(1)
+        self._writers: list[Writer] = []
+        self._readers: list[Reader] = []
+        self._watchers: list[Callable[[], None]] = []
+        self._lock = threading.RLock()
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        self._watchers.append(changed)
+
+    def restart(self, identity: str | None) -> None:
+        """The network goes away (None) or comes back under another identity, without its native endpoints."""
+        with self._lock:
+            self.identity = identity
+            self._writers = [w for w in self._writers if w.endpoint.made_by is MadeBy.MIDSPAN]
+            self._readers = [r for r in self._readers if r.endpoint.made_by is MadeBy.MIDSPAN]
+        self._changed()
+
+    def endpoints(self) -> list[Endpoint]:
+        with self._lock:
+            return [w.endpoint for w in self._writers] + [r.endpoint for r in self._readers]
+
+    def write_on(self, topic: str, type_: str, qos: Qos, made_by: MadeBy, node: str) -> Writer:
+        endpoint = Endpoint(f"w{next(self._ids)}", Kind.PUBLISHER, topic, type_, qos, made_by, node)
+        writer = Writer(endpoint)
+        with self._lock:
+            self._writers.append(writer)
+        self._changed()
+        return writer
+
+    def read_from(self, topic: str, type_: str, qos: Qos, made_by: MadeBy, node: str, deliver: Deliver) -> Reader:
+        reader = Reader(Endpoint(f"r{next(self._ids)}", Kind.SUBSCRIPTION, topic, type_, qos, made_by, node), deliver)
+        with self._lock:
+            self._readers.append(reader)
+            past = [
+                (payload, w.endpoint.id)
+                for w in self._writers
+                if w.endpoint.topic == topic and w.endpoint.qos.latched and qos.latched
+                for payload in w.retained.values()
+            ]
+        for payload, source in past:
+            deliver(payload, source, None)
+        self._changed()
+        return reader
+
+    def write(self, writer: Writer, payload: bytes, source: str = "") -> None:
+        with self._lock:
+            if writer.endpoint.qos.latched:
+                writer.retained[source] = payload
+            readers = [r for r in self._readers if r.endpoint.topic == writer.endpoint.topic]
+        for reader in readers:
+            reader.deliver(payload, writer.endpoint.id, None)
+
+    def remove(self, thing: Writer | Reader) -> None:
+        with self._lock:
+            self._writers = [w for w in self._writers if w is not thing]
+            self._readers = [r for r in self._readers if r is not thing]
+        self._changed()
+
+    def _changed(self) -> None:
+        for changed in list(self._watchers):
+            changed()
+
+
+@dataclass
+class _Subscription:
+    network: FakeNetwork
+    reader: Reader
+
+    def close(self) -> None:
+        self.network.remove(self.reader)
+
+
+@dataclass
+class _Publisher:
+    network: FakeNetwork
+    writer: Writer
+
+    def send(self, payload: bytes, source: str) -> None:
+        self.network.write(self.writer, payload, source)
+
+    def forget(self, source: str) -> None:
+        self.writer.retained.pop(source, None)
+
+    def close(self) -> None:
+        self.network.remove(self.writer)
+
+
+class FakeEdge(Edge):
+    """Joins a `FakeNetwork`."""
+
+    side = "fake"
+
+    def __init__(self, network: FakeNetwork, registry: Registry) -> None:
+        self._network, self._registry = network, registry
+        self._made: list[_Subscription | _Publisher] = []
+
+    def start(self, listener: EdgeListener) -> None:
+        self._network.watch(listener.graph_changed)
+        listener.graph_changed()
+
+    def stop(self) -> None:
+        for made in self._made:
+            made.close()
+        self._made = []
+
+    def network(self) -> str | None:
+        return self._network.identity
+
+    def is_own_network(self, origin: Origin) -> bool:
+        return origin.side == self.side and origin.network == self._network.identity
+
+    def endpoints(self) -> list[Endpoint]:
+        return [e for e in self._network.endpoints() if e.made_by is not MadeBy.MIDSPAN]
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        return self._identity(endpoint.type, "")
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        return replace(self._identity(type_name, type_hash), convert=self._registry.hub_check(type_name))
+
+    def _identity(self, type_name: str, type_hash: str) -> Conversion:
+        known = self._registry.ros2(type_name)
+        return Conversion(known, known, None)
+
+    def learn(self, type_name: str, definition: str) -> None:
+        self._registry.learn_ros2(type_name, definition)
+
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> _Subscription:
+        native: Deliver = lambda payload, source, time_ns: self._if_native(payload, source, time_ns, deliver)  # noqa: E731
+        reader = self._network.read_from(topic, side_type.name, qos, MadeBy.MIDSPAN, "/midspan", native)
+        self._made.append(made := _Subscription(self._network, reader))
+        return made
+
+    def _if_native(self, payload: bytes, source: str, time_ns: int | None, deliver: Deliver) -> None:
+        if any(e.id == source and e.made_by is MadeBy.NATIVE for e in self._network.endpoints()):
+            deliver(payload, source, time_ns)
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> _Publisher:
+        writer = self._network.write_on(topic, side_type.name, qos, MadeBy.MIDSPAN, "/midspan")
+        self._made.append(made := _Publisher(self._network, writer))
+        return made
