@@ -61,6 +61,10 @@ class Route:
         """The route as it stands in the status document."""
         raise NotImplementedError
 
+    def close(self) -> None:
+        """Give back everything on both networks."""
+        raise NotImplementedError
+
     def bad(self, error: str) -> None:
         """Count a refused message and log at a limited rate."""
         self.counters.dropped("bad")
