@@ -1,0 +1,98 @@
+"""Names of message types and fields in ROS 1 and ROS 2, and how one world's become legal in the other.
+
+ROS 2's rules are those of rosidl_adapter's parser (jazzy, ``rosidl_adapter/parser.py``): packages and fields are lower
+case with single underscores and none at the end, messages are CamelCase, constants UPPER_CASE.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+
+_ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
+_ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
+_LEGAL_PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
+_LEGAL_MESSAGE = re.compile(r"[A-Z][A-Za-z0-9]*")
+_LEGAL_CONSTANT = re.compile(r"(?!.*__)(?!.*_$)[A-Z][A-Z0-9_]*")
+
+
+def is_ros1_name(name: str) -> bool:
+    """Whether ``name`` is spelled as ROS 1 spells message types."""
+    return _ROS1_NAME.fullmatch(name) is not None
+
+
+def is_ros2_name(name: str) -> bool:
+    """Whether ``name`` is spelled as ROS 2 spells message types."""
+    return _ROS2_NAME.fullmatch(name) is not None
+
+
+def ros2_candidates(ros1_name: str) -> list[str]:
+    """ROS 2 names that may stand for a ROS 1 type, the likeliest first."""
+    package, name = ros1_name.split("/")
+    candidates = [f"{package}/msg/{name}"]
+    if package.endswith("_msgs"):
+        candidates.append(f"{package.removesuffix('_msgs')}_interfaces/msg/{name}")
+    candidates.append(legal_type(ros1_name))
+    return list(dict.fromkeys(candidates))
+
+
+def ros1_candidates(ros2_name: str) -> list[str]:
+    """ROS 1 names that may stand for a ROS 2 message type, the likeliest first; none for parts of services."""
+    package, kind, name = ros2_name.split("/")
+    if kind != "msg":
+        return []
+    candidates = [f"{package}/{name}"]
+    if package.endswith("_interfaces"):
+        candidates.append(f"{package.removesuffix('_interfaces')}_msgs/{name}")
+    return candidates
+
+
+def legal_package(name: str) -> str:
+    """The package's name as ROS 2 allows it."""
+    return name if _LEGAL_PACKAGE.fullmatch(name) else _snake(name.lower())
+
+
+def legal_type(ros1_name: str) -> str:
+    """The ROS 2 name of the type derived from a ROS 1 type: ``my_msgs/my_type`` becomes ``my_msgs/msg/MyType``."""
+    package, name = ros1_name.split("/")
+    if not _LEGAL_MESSAGE.fullmatch(name):
+        name = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    return f"{legal_package(package)}/msg/{name}"
+
+
+def is_legal_field(name: str) -> bool:
+    """Whether ROS 2 allows a field of this name."""
+    return _LEGAL_PACKAGE.fullmatch(name) is not None
+
+
+def is_legal_message(name: str) -> bool:
+    """Whether ROS 2 allows a message of this short name."""
+    return _LEGAL_MESSAGE.fullmatch(name) is not None
+
+
+def legal_fields(names: Iterable[str]) -> dict[str, str]:
+    """ROS 2's field name for each ROS 1 field of one message; names that meet get ``_2``, ``_3`` and so on."""
+    return _distinct(names, lambda name: _snake(name.lower()))
+
+
+def legal_constants(names: Iterable[str]) -> dict[str, str]:
+    """ROS 2's name for each ROS 1 constant of one message."""
+    return _distinct(names, lambda name: name if _LEGAL_CONSTANT.fullmatch(name) else _snake(name.lower()).upper())
+
+
+def _distinct(names: Iterable[str], change: Callable[[str], str]) -> dict[str, str]:
+    taken: set[str] = set()
+    result: dict[str, str] = {}
+    for name in names:
+        wanted = legal = change(name)
+        number = 2
+        while legal in taken:
+            legal = f"{wanted}_{number}"
+            number += 1
+        taken.add(legal)
+        result[name] = legal
+    return result
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"__+", "_", name).strip("_") or "value"

@@ -1,0 +1,150 @@
+"""Which field of a ROS 1 type stands for which field of a ROS 2 type.
+
+By rule where a mapping rule lists the fields, else by name ignoring case (``CameraInfo.D`` is ``d``). ``Header.seq``
+has no counterpart and needs none. Fields on one side only get default values; where both sides have such fields the
+types are no pair, since nobody can tell which field became which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, Definition, FieldType, Schema, Shape
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.names import legal_fields
+from bridge.messages.rules import MessageRule, Rules
+
+Path = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two message types and the paths of the fields that stand for each other."""
+
+    ros1: Definition
+    ros2: Definition
+    fields: tuple[tuple[Path, Path], ...]
+
+
+PairTable = Mapping[tuple[str, str], Pair]
+"""Pairs by ROS 1 and ROS 2 name: the root types' and all that they nest."""
+
+
+def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
+    """Match two types and all that they nest.
+
+    Raises:
+        MessageTypeError: they are no pair; says which fields stand in the way.
+    """
+    table: dict[tuple[str, str], Pair] = {}
+
+    def visit(name1: str, name2: str) -> None:
+        if (name1, name2) in table:
+            return
+        own1, own2 = ros1.sub(name1), ros2.sub(name2)
+        rule = rules.fields(name1, name2)
+        fields = _by_name(own1.root, own2.root) if rule is None else _by_rule(own1, own2, rule)
+        table[name1, name2] = Pair(own1.root, own2.root, fields)
+        for path1, path2 in fields:
+            kind1, kind2 = field_at(own1, path1), field_at(own2, path2)
+            assert kind1 is not None
+            assert kind2 is not None
+            reason = _unlike(kind1, kind2, rules)
+            if reason:
+                msg = (
+                    f"{name1} and {name2} are no pair: field {'.'.join(path1)} ({kind1}) and field"
+                    f" {'.'.join(path2)} ({kind2}): {reason}"
+                )
+                raise MessageTypeError(msg, "write a mapping rule that leaves the field out (types.mapping_rules)")
+            if kind1.nested and kind2.nested:
+                visit(kind1.base, kind2.base)
+
+    visit(ros1.name, ros2.name)
+    return table
+
+
+def field_at(schema: Schema, path: Path) -> FieldType | None:
+    """The type of the field at a path such as ``("header", "stamp")``; None where there is no such field."""
+    definition: Definition | None = schema.root
+    kind: FieldType | None = None
+    for step in path:
+        if definition is None or (kind is not None and kind.shape is not Shape.SINGLE):
+            return None
+        kind = next((field.type for field in definition.fields if field.name == step), None)
+        if kind is None:
+            return None
+        definition = schema.of(kind)
+    return kind
+
+
+def _by_rule(ros1: Schema, ros2: Schema, rule: MessageRule) -> tuple[tuple[Path, Path], ...]:
+    assert rule.fields is not None
+    pairs = [(tuple(one.split(".")), tuple(two.split("."))) for one, two in rule.fields.items()]
+    for one, two in pairs:
+        for schema, path in ((ros1, one), (ros2, two)):
+            if field_at(schema, path) is None:
+                msg = f"{rule.origin}: {schema.name} has no field {'.'.join(path)}"
+                raise MessageTypeError(msg, f"its fields: {', '.join(f.name for f in schema.root.fields) or 'none'}")
+    targets = [two for _, two in pairs]
+    for two in targets:
+        if any(other is not two and other[: len(two)] == two for other in targets):
+            msg = f"{rule.origin}: {'.'.join(two)} of {ros2.name} is mapped twice"
+            raise MessageTypeError(msg)
+    return tuple(pairs)
+
+
+def _by_name(ros1: Definition, ros2: Definition) -> tuple[tuple[Path, Path], ...]:
+    exact = {field.name: field.name for field in ros2.fields}
+    lower = {field.name.lower(): field.name for field in ros2.fields}
+    legal = legal_fields(field.name for field in ros1.fields)
+    pairs: list[tuple[Path, Path]] = []
+    only1: list[str] = []
+    taken: set[str] = set()
+    for field in ros1.fields:
+        name = exact.get(field.name) or lower.get(field.name.lower()) or exact.get(legal[field.name])
+        if name is None or name in taken:
+            only1.append(field.name)
+        else:
+            taken.add(name)
+            pairs.append(((field.name,), (name,)))
+    if ros1.name == "std_msgs/Header":
+        only1 = [name for name in only1 if name != "seq"]
+    only2 = [field.name for field in ros2.fields if field.name not in taken]
+    if only1 and only2:
+        msg = (
+            f"{ros1.name} and {ros2.name} are no pair: only the first has {', '.join(only1)}, only the second"
+            f" {', '.join(only2)}"
+        )
+        raise MessageTypeError(msg, "say which field became which in a mapping rule (types.mapping_rules)")
+    return tuple(pairs)
+
+
+def _unlike(one: FieldType, two: FieldType, rules: Rules) -> str:
+    """Why a field of ROS 1 cannot stand for one of ROS 2; "" where it can."""
+    if one.shape is not two.shape:
+        return f"one is {_a(one.shape)}, the other {_a(two.shape)}"
+    if one.shape is Shape.ARRAY and one.length != two.length:
+        return "the arrays differ in length"
+    if one.base in TIME_TYPES:
+        return "" if TIME_TYPES[one.base] == two.base else f"{one.base} stands for {TIME_TYPES[one.base]} alone"
+    if one.nested and two.nested:
+        if rules.stand_for_each_other(one.base, two.base):
+            return ""
+        return "the two message types do not stand for each other"
+    if two.base == "wstring":
+        return "ROS 1 has no wstring"
+    if one.base == two.base or _same_bits(one.base, two.base):
+        return ""
+    return "the two types differ"
+
+
+def _same_bits(one: str, two: str) -> bool:
+    """Whether two primitives are integers of the same size: ROS 1's byte is an int8, ROS 2's an octet, and so on."""
+    sizes = PRIMITIVE_SIZES.get(one), PRIMITIVE_SIZES.get(two)
+    floats = any(base.startswith("float") or base == "bool" for base in (one, two))
+    return sizes[0] is not None and sizes[0] == sizes[1] and not floats
+
+
+def _a(shape: Shape) -> str:
+    return {Shape.SINGLE: "a single value", Shape.ARRAY: "an array", Shape.SEQUENCE: "a sequence"}[shape]

@@ -1,0 +1,256 @@
+"""Reads ``.msg``, ``.srv`` and ``.action`` text of both worlds.
+
+The grammar is that of genmsg (ROS 1, http://wiki.ros.org/msg) and of rosidl_adapter (ROS 2,
+https://docs.ros.org/en/jazzy/Concepts/Basic/About-Interfaces.html). A text written for one world is also understood as
+the other's: ``time``, ``duration`` and a bare ``Header`` in ROS 2, ``builtin_interfaces/Time`` and bounds in ROS 1.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+from bridge.messages.definition import (
+    PRIMITIVE_SIZES,
+    STRING_TYPES,
+    TIME_TYPES,
+    Constant,
+    DefaultValue,
+    Definition,
+    Field,
+    FieldType,
+    Schema,
+    Shape,
+    World,
+)
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.names import is_legal_field
+
+MAX_TEXT = 4 << 20
+"""Longest definition text that is read, in characters."""
+
+MAX_ARRAY = 1 << 28
+"""Longest fixed array or bound that is accepted."""
+
+_SEPARATOR = re.compile(r"^={20,}[ \t]*\n", re.MULTILINE)
+_LINE = re.compile(r"(\S+)\s+([A-Za-z_]\w*)\s*(.*)", re.DOTALL)
+_TYPE = re.compile(r"([A-Za-z][\w/]*)(?:<=(\d+))?(?:\[(?:(<=)?(\d+))?\])?(?P<empty>\[\])?")
+_FOREIGN_TO_ROS1 = re.compile(r"<=|wstring|builtin_interfaces/|/msg/")
+_FOREIGN_TO_ROS2 = re.compile(r"(time|duration|Header)\b(?!/)")
+_BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duration": "duration"}
+
+
+def parse_definition(text: str, name: str, world: World) -> Definition:
+    """Read one type's own definition.
+
+    Args:
+        text: the content of a ``.msg`` file.
+        name: the type's name as ``world`` spells it.
+        world: whose type is wanted.
+
+    Returns:
+        The definition; without text where it is written as only the other world would write it.
+
+    Raises:
+        MessageTypeError: naming the type and the line that cannot be read.
+    """
+    if len(text) > MAX_TEXT:
+        msg = f"the definition of {name} is longer than {MAX_TEXT} characters"
+        raise MessageTypeError(msg)
+    fields: list[Field] = []
+    constants: list[Constant] = []
+    native = True
+    for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
+        bare = _strip_comment(line)
+        if not bare or bare.startswith("@"):
+            continue
+        try:
+            native &= _read_line(line, bare, name, world, fields, constants)
+        except ValueError as err:
+            msg = f"cannot read the definition of {name}, line {number} ({bare!r}): {err}"
+            raise MessageTypeError(msg) from None
+    seen: set[str] = set()
+    for field in fields:
+        if field.name in seen:
+            msg = f"the definition of {name} has two fields named {field.name!r}"
+            raise MessageTypeError(msg)
+        seen.add(field.name)
+    return Definition(name, world, tuple(fields), tuple(constants), text if native else "")
+
+
+def parse_full(text: str, name: str, world: World) -> dict[str, Definition]:
+    """Read a full definition: the type's own, then nested ones after lines of ``=`` and ``MSG: name``.
+
+    Returns:
+        The definitions by name; the first is ``name``'s own.
+    """
+    own, *rest = _SEPARATOR.split(text.replace("\r\n", "\n"))
+    found = {name: parse_definition(own, name, world)}
+    for part in rest:
+        head, _, body = part.partition("\n")
+        if not head.startswith("MSG:"):
+            msg = f"the full definition of {name} has a section without 'MSG: <type>' ({head[:60]!r})"
+            raise MessageTypeError(msg)
+        nested = spell(head.removeprefix("MSG:").strip(), name, world)
+        found.setdefault(nested, parse_definition(body, nested, world))
+    return found
+
+
+def split_parts(text: str) -> list[str]:
+    """The parts of a ``.srv`` (request, response) or ``.action`` (goal, result, feedback) file."""
+    parts: list[list[str]] = [[]]
+    for line in text.replace("\r\n", "\n").split("\n"):
+        if line.strip() == "---":
+            parts.append([])
+        else:
+            parts[-1].append(line)
+    return ["\n".join(lines) + "\n" for lines in parts]
+
+
+def spell(type_name: str, owner: str, world: World) -> str:
+    """The full name, as ``world`` spells it, of a type that ``owner``'s definition mentions."""
+    parts = type_name.split("/")
+    if type_name in ("Header", "roslib/Header"):
+        parts = ["std_msgs", "Header"]
+    if len(parts) == 1:
+        parts = [owner.split("/", 1)[0], parts[0]]
+    if world is World.ROS2:
+        return "/".join(parts if len(parts) == 3 else (parts[0], "msg", parts[-1]))
+    return f"{parts[0]}/{parts[-1]}"
+
+
+def closure(root: Definition, types: dict[str, Definition]) -> Schema:
+    """The schema of ``root`` from definitions that hold all it nests.
+
+    Raises:
+        MessageTypeError: a nested type is missing, or a type contains itself.
+    """
+    done: dict[str, Definition] = {}
+
+    def visit(definition: Definition, path: tuple[str, ...]) -> None:
+        if definition.name in path:
+            msg = f"{root.name} cannot be used: {definition.name} contains itself"
+            raise MessageTypeError(msg)
+        if definition.name in done:
+            return
+        for name in definition.nested_names():
+            if name not in types:
+                msg = f"{root.name} nests {name}, of which no definition is known"
+                raise MessageTypeError(
+                    msg,
+                    f"install the package {name.split('/')[0]} or give a folder with its .msg files in types.folders",
+                )
+            visit(types[name], (*path, definition.name))
+        done[definition.name] = definition
+
+    visit(root, ())
+    return Schema(root, done)
+
+
+def parse_type(text: str, owner: str, world: World) -> FieldType:
+    """Read a field's type; `ValueError` says what is wrong with it."""
+    match = _TYPE.fullmatch(text)
+    if match is None:
+        msg = f"{text!r} is not a type"
+        raise ValueError(msg)
+    base, string_bound, bounded, count = match.group(1, 2, 3, 4)
+    shape, length = Shape.SINGLE, int(count or 0)
+    if "[" in text:
+        shape = Shape.ARRAY if count and not bounded else Shape.SEQUENCE
+    if length > MAX_ARRAY or int(string_bound or 0) > MAX_ARRAY or (shape is Shape.ARRAY and not length):
+        msg = f"array length or bound of {text!r} is not from 1 to {MAX_ARRAY}"
+        raise ValueError(msg)
+    if string_bound and base not in STRING_TYPES:
+        msg = f"only strings have a bound on their own length, not {base}"
+        raise ValueError(msg)
+    base = _base_name(base, owner, world)
+    if world is World.ROS1:
+        return FieldType(base, shape, length if shape is Shape.ARRAY else 0)
+    return FieldType(base, shape, length, int(string_bound or 0))
+
+
+def _base_name(base: str, owner: str, world: World) -> str:
+    if base in PRIMITIVE_SIZES or base in STRING_TYPES:
+        return base
+    if base in TIME_TYPES:
+        return base if world is World.ROS1 else TIME_TYPES[base]
+    name = spell(base, owner, world)
+    return _BUILTIN_TIMES.get(name, name) if world is World.ROS1 else name
+
+
+def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Field], constants: list[Constant]) -> bool:
+    """Read one line; whether ``world`` itself would write it so."""
+    match = _LINE.fullmatch(bare)
+    if match is None:
+        msg = "expected '<type> <name>'"
+        raise ValueError(msg)
+    type_text, name, rest = match.groups()
+    if rest.startswith("="):
+        if type_text.split("<=")[0] in STRING_TYPES and world is World.ROS1:
+            # A string constant of ROS 1 is everything after the '=', '#' included.
+            rest = "=" + line.split("=", 1)[1]
+        constants.append(Constant(name, parse_type(type_text, owner, world).base, rest[1:].strip()))
+        return True
+    field_type = parse_type(type_text, owner, world)
+    if world is World.ROS1:
+        fields.append(Field(name, field_type))
+        return not rest and _FOREIGN_TO_ROS1.search(type_text) is None
+    fields.append(Field(name, field_type, parse_default(rest, field_type) if rest else None))
+    return is_legal_field(name) and _FOREIGN_TO_ROS2.match(type_text) is None
+
+
+def parse_default(text: str, field_type: FieldType) -> DefaultValue:
+    """Read a ROS 2 default value; `ValueError` says what is wrong with it."""
+    if field_type.nested:
+        msg = f"a field of type {field_type.base} cannot have a default value"
+        raise ValueError(msg)
+    if field_type.shape is Shape.SINGLE:
+        return _scalar(text, field_type.base)
+    if not (text.startswith("[") and text.endswith("]")):
+        msg = f"the default of an array is a list in brackets, not {text!r}"
+        raise ValueError(msg)
+    values = tuple(_scalar(item, field_type.base) for item in _split_list(text[1:-1]))
+    if field_type.shape is Shape.ARRAY and len(values) != field_type.length:
+        msg = f"{len(values)} default values for {field_type.length} elements"
+        raise ValueError(msg)
+    return values
+
+
+def _scalar(text: str, base: str) -> DefaultValue:
+    text = text.strip()
+    if base in STRING_TYPES:
+        if text[:1] in ("'", '"') and text[-1:] == text[:1] and len(text) > 1:
+            value = ast.literal_eval(text)
+            assert isinstance(value, str)
+            return value
+        return text
+    if base == "bool":
+        if text.lower() in ("true", "1"):
+            return True
+        if text.lower() in ("false", "0"):
+            return False
+        msg = f"{text!r} is not a bool"
+        raise ValueError(msg)
+    return float(text) if base.startswith("float") else int(text, 0)
+
+
+def _split_list(text: str) -> Iterator[str]:
+    for match in re.finditer(r"""\s*("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^,]+?)\s*(?:,|$)""", text):
+        yield match.group(1)
+
+
+def _strip_comment(line: str) -> str:
+    """The line without its comment; a ``#`` within quotes is no comment."""
+    if "#" not in line:
+        return line.strip()
+    quote = ""
+    for index, char in enumerate(line):
+        if quote:
+            if char == quote:
+                quote = ""
+        elif char in "\"'" and _LINE.match(line[:index].strip()) and "=" not in line[:index]:
+            quote = char
+        elif char == "#":
+            return line[:index].strip()
+    return line.strip()

@@ -1,0 +1,266 @@
+"""All message types that are known here, and how their bytes get from ROS 1 to the hub and back.
+
+Nothing is read from disk before a type is asked for. A definition that the network announced, in a ROS 1 connection
+header or on the hub, is used for what carries its md5 or hash; two definitions of one name stand beside each other.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from bridge.adapters.base import Conversion, SideType
+from bridge.messages.definition import Schema, World
+from bridge.messages.derive import derive_ros1, derive_ros2
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.library import Library
+from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type
+from bridge.messages.pairing import pair_types
+from bridge.messages.rules import Rules
+from bridge.messages.sources import Tree, ros1_sources, ros2_sources
+from bridge.messages.text import full_text, own_text
+from bridge.messages.transcoder import Convert, cdr_to_ros1, check_cdr, ros1_to_cdr
+
+ANY_MD5 = ("", "*")
+"""What a ROS 1 endpoint announces that takes any definition."""
+
+
+class Registry:
+    """The registry of types; every method may be called from any thread.
+
+    Args:
+        folders: ``.msg`` folders of the configuration; their types serve as ROS 1's and ROS 2's.
+        mapping_rules: ros1_bridge mapping-rule files.
+        prefixes: installation prefixes of ROS 2 packages that were built here (``share/<package>/msg/*.msg``).
+        ros1_packages: folder of the ROS 1 Python packages, None for the usual ones.
+    """
+
+    def __init__(
+        self,
+        folders: Sequence[Path] = (),
+        mapping_rules: Sequence[Path] = (),
+        *,
+        prefixes: Sequence[Path] = (),
+        ros1_packages: Path | None = None,
+    ) -> None:
+        self._rules = Rules(mapping_rules)
+        self._ros1 = Library(World.ROS1, ros1_sources(folders, ros1_packages))
+        self._sources2 = ros2_sources(folders, prefixes)
+        self._ros2 = Library(World.ROS2, self._sources2)
+        self._lock = threading.RLock()
+        self._converters: dict[tuple[str, ...], Conversion] = {}
+        self._answers: dict[tuple[str, str, str], Conversion] = {}
+        self._checks: dict[str, Convert] = {}
+
+    def ros1(self, name: str) -> SideType:
+        """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there.
+
+        Raises:
+            MessageTypeError: nothing is known of it.
+        """
+        with self._lock:
+            return self._side(self._find_ros1(name, ""))
+
+    def ros2(self, name: str) -> SideType:
+        """The ROS 2 type ``name``; where ROS 1 alone has it, the one derived from there.
+
+        Raises:
+            MessageTypeError: nothing is known of it.
+        """
+        with self._lock:
+            return self._side(self.schema(name))
+
+    def schema(self, name: str, type_hash: str = "") -> Schema:
+        """The ROS 2 type with all that it nests, as the decoders need it."""
+        with self._lock:
+            return self._find_ros2(name, type_hash)
+
+    def learn_ros1(self, name: str, definition: str, md5: str = "") -> None:
+        """Take up the full definition from a ROS 1 connection header.
+
+        Raises:
+            MessageTypeError: it cannot be read, or is not what the md5 says.
+        """
+        with self._lock:
+            if not is_ros1_name(name):
+                msg = f"{name!r} is not a ROS 1 message type"
+                raise MessageTypeError(msg)
+            if md5 not in ANY_MD5 and md5 in self._ros1.fingerprints(name):
+                return
+            self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
+            self._answers.clear()
+
+    def learn_ros2(self, name: str, definition: str) -> None:
+        """Take up the full definition of a ROS 2 type that was told on the hub.
+
+        Raises:
+            MessageTypeError: it cannot be read.
+        """
+        with self._lock:
+            if not is_ros2_name(name):
+                msg = f"{name!r} is not a ROS 2 message type"
+                raise MessageTypeError(msg)
+            self._ros2.learn(name, definition)
+            self._answers.clear()
+
+    def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
+        """How a ROS 1 publisher's bytes become the hub's.
+
+        Args:
+            name: ROS 1 type.
+            md5: what the publisher announced; "" or "*" for any.
+            definition: full definition from its connection header.
+
+        Raises:
+            MessageTypeError: the type is unknown or has no counterpart.
+        """
+        key = ("ros1", name, md5)
+        with self._lock:
+            if key not in self._answers:
+                if definition and md5 not in self._ros1.fingerprints(name):
+                    self.learn_ros1(name, definition, md5)
+                source = self._find_ros1(name, md5)
+                self._answers[key] = self._conversion(source, self._to_ros2(source))
+            return self._answers[key]
+
+    def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
+        """How the hub's bytes become a ROS 1 message's.
+
+        Raises:
+            MessageTypeError: the type is unknown, has another hash here, or has no counterpart.
+        """
+        key = ("ros2", type_name, type_hash)
+        with self._lock:
+            if key not in self._answers:
+                source = self._find_ros2(type_name, type_hash)
+                self._answers[key] = self._conversion(source, self._to_ros1(source))
+            return self._answers[key]
+
+    def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
+        """A check of CDR bytes against their type: lengths, bounds, truncation.
+
+        It gives the message without the slack that rclpy's serialiser leaves behind it, and raises `ConversionError`
+        for what is no such message.
+        """
+        with self._lock:
+            schema = self._find_ros2(type_name, type_hash)
+            key = self._ros2.fingerprint(schema)
+            if key not in self._checks:
+                self._checks[key] = check_cdr(schema)
+            return self._checks[key]
+
+    def ros2_package_sources(self, package: str) -> dict[str, str]:
+        """Every definition known of a ROS 2 package as the files it is built from.
+
+        Returns:
+            Text by path within the package (``msg/Name.msg``, ``srv/Name.srv``, ``action/Name.action``).
+        """
+        with self._lock:
+            files: dict[str, str] = {}
+            for source in self._sources2:
+                if isinstance(source, Tree):
+                    files = {**source.files(package), **files}
+            for name in self._ros2.names(package):
+                _, kind, short = name.split("/")
+                if kind == "msg" and f"msg/{short}.msg" not in files:
+                    files[f"msg/{short}.msg"] = own_text(self._find_ros2(name, "").root)
+            for schema in self._derivable(package):
+                short = schema.name.split("/")[2]
+                files.setdefault(f"msg/{short}.msg", own_text(schema.root))
+            return files
+
+    def _derivable(self, package: str) -> Iterator[Schema]:
+        """ROS 2 types of a package that are made from ROS 1 types."""
+        for name in self._ros1.names(package):
+            ros1 = self._ros1.find(name, newest=True)
+            if ros1 is None:
+                continue
+            try:
+                ros2 = self._to_ros2(ros1)
+            except MessageTypeError:
+                continue
+            if ros2.root.package == package:
+                yield ros2
+
+    def _side(self, schema: Schema) -> SideType:
+        library = self._ros1 if schema.world is World.ROS1 else self._ros2
+        return SideType(schema.name, library.fingerprint(schema), full_text(schema))
+
+    def _conversion(self, source: Schema, target: Schema) -> Conversion:
+        sides = self._side(source), self._side(target)
+        key = (*(side.name for side in sides), *(side.type_id for side in sides))
+        if key not in self._converters:
+            if source.world is World.ROS1:
+                convert = ros1_to_cdr(source, target, pair_types(source, target, self._rules))
+            else:
+                convert = cdr_to_ros1(source, target, pair_types(target, source, self._rules))
+            self._converters[key] = Conversion(*sides, convert)
+        return self._converters[key]
+
+    def _find_ros1(self, name: str, md5: str) -> Schema:
+        wanted = "" if md5 in ANY_MD5 else md5
+        found = self._ros1.find(name, wanted, newest=True)
+        if found is not None:
+            return found
+        if is_ros1_name(name):
+            for candidate in self._rules.ros2_names(name):
+                ros2 = self._ros2.find(candidate)
+                derived = None if ros2 is None else self._to_ros1(ros2)
+                if derived is not None and derived.name == name and wanted in ("", self._ros1.fingerprint(derived)):
+                    return derived
+        raise self._unknown(name, wanted, self._ros1, "md5")
+
+    def _find_ros2(self, name: str, type_hash: str) -> Schema:
+        found = self._ros2.find(name, type_hash)
+        if found is not None:
+            return found
+        if is_ros2_name(name):
+            for ros1 in self._ros1_variants(name):
+                ros2 = self._to_ros2(ros1)
+                if ros2.name == name and type_hash in ("", self._ros2.fingerprint(ros2)):
+                    return ros2
+        raise self._unknown(name, type_hash, self._ros2, "hash")
+
+    def _unknown(self, name: str, wanted: str, library: Library, word: str) -> MessageTypeError:
+        world = library.world.value
+        known = library.fingerprints(name)
+        package = name.split("/")[0]
+        if wanted and known:
+            return MessageTypeError(
+                f"{name} has the {word} {wanted} there but {' or '.join(known)} here: the definitions differ",
+                f"use the same version of {package} on both sides",
+            )
+        return MessageTypeError(
+            f"no definition of the {world} type {name} is known",
+            f"install {package}, or put its .msg files into a folder that types.folders names",
+        )
+
+    def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
+        """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""
+        package = ros2_name.split("/", 1)[0]
+        names = self._rules.ros1_names(ros2_name)
+        for name in names:
+            yield from self._ros1.variants(name)
+        for name in self._ros1.names(package):
+            if name not in names and legal_type(name) == ros2_name:
+                yield from self._ros1.variants(name)
+
+    def _to_ros2(self, ros1: Schema) -> Schema:
+        """The ROS 2 type that stands for a ROS 1 type: one that is installed, else derived."""
+        for name in self._rules.ros2_names(ros1.name):
+            found = self._ros2.installed(name)
+            if found is not None:
+                return found
+        return derive_ros2(ros1, self._to_ros2)
+
+    def _to_ros1(self, ros2: Schema) -> Schema:
+        """The ROS 1 type that stands for a ROS 2 type: announced by publishers, installed, else derived."""
+        first: Schema | None = None
+        wanted = self._ros2.fingerprint(ros2)
+        for ros1 in self._ros1_variants(ros2.name):
+            back = self._to_ros2(ros1)
+            if back.name == ros2.name and self._ros2.fingerprint(back) == wanted:
+                return ros1
+            first = first or ros1
+        return first or derive_ros1(ros2, self._to_ros1)

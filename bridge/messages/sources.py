@@ -1,0 +1,206 @@
+"""Where definitions are found on this machine. Nothing is read before it is asked for.
+
+A source answers with a type's own definition, and with those of nested types where it holds them in the same place.
+Names are checked against ROS's grammar before they become paths.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import site
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from bridge.messages.definition import Definition, World
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.names import is_legal_message, is_ros1_name, is_ros2_name
+from bridge.messages.parser import MAX_TEXT, parse_definition, parse_full
+from bridge.messages.parts import find_part
+from bridge.messages.stores import find_in_store, parse_idl, store_names
+
+Found = dict[str, Definition]
+
+_FULL_TEXT = re.compile(r'^  _full_text = (r?"""(?:[^"\\]|\\.|"(?!""))*""")', re.MULTILINE | re.DOTALL)
+
+
+class Source(Protocol):
+    """One place that holds definitions of one world."""
+
+    def find(self, name: str) -> Found | None:
+        """The definition of ``name`` first, then what it nests where that is at hand; None where it is not here."""
+
+    def names(self, package: str) -> list[str]:
+        """Names of the package's messages in this place."""
+
+
+class Tree:
+    """A folder of ``.msg``, ``.srv`` and ``.action`` (or ``.idl``) files.
+
+    Laid out as ``<package>/msg/<Name>.msg``, as ``<package>/<Name>.msg``, or being the package's own folder.
+    """
+
+    def __init__(self, root: Path, world: World) -> None:
+        self.root = root
+        self.world = world
+
+    def folders(self, package: str, kind: str) -> list[Path]:
+        """Folders of this tree that hold the package's files of one kind (``msg``, ``srv``, ``action``)."""
+        wanted = [self.root / package / kind]
+        if kind == "msg":
+            wanted.append(self.root / package)
+        if self.root.name == package:
+            wanted += [self.root / kind, self.root]
+        if self.root.name == kind and self.root.parent.name == package:
+            wanted.append(self.root)
+        return [folder for folder in wanted if folder.is_dir()]
+
+    def find(self, name: str) -> Found | None:
+        """See `Source.find`."""
+        parts = name.split("/")
+        package, kind, short = parts if len(parts) == 3 else (parts[0], "msg", parts[1])
+        if self.world is World.ROS2 and kind == "msg" and not is_legal_message(short):
+            return None
+        for folder in self.folders(package, kind):
+            if kind != "msg":
+                found = find_part(folder, name, short)
+                if found is not None:
+                    return found
+                continue
+            if (path := folder / f"{short}.msg").is_file():
+                definition = parse_definition(read_text(path), name, self.world)
+                native = bool(definition.text or not definition.fields)
+                # What is written for the other world is derived from there.
+                return {name: definition} if native else None
+            if self.world is World.ROS2 and (path := folder / f"{short}.idl").is_file():
+                return parse_idl(read_text(path), name)
+        return None
+
+    def files(self, package: str) -> dict[str, str]:
+        """Text of the package's definition files by their path within it."""
+        found: dict[str, str] = {}
+        for kind in ("msg", "srv", "action"):
+            for folder in self.folders(package, kind):
+                for path in sorted(folder.glob(f"*.{kind}")):
+                    if kind != "msg" or self.find(f"{package}/msg/{path.stem}") is not None:
+                        found.setdefault(f"{kind}/{path.name}", read_text(path))
+        return found
+
+    def names(self, package: str) -> list[str]:
+        """See `Source.names`."""
+        middle = "msg/" if self.world is World.ROS2 else ""
+        stems = {p.stem for f in self.folders(package, "msg") for p in f.iterdir() if p.suffix in (".msg", ".idl")}
+        return [f"{package}/{middle}{stem}" for stem in sorted(stems)]
+
+
+class Genpy:
+    """ROS 1 Python packages, read as text: they cannot be imported beside ROS 2's, which have the same names."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def find(self, name: str) -> Found | None:
+        """See `Source.find`."""
+        package, short = name.split("/")
+        path = self.root / package / "msg" / f"_{short}.py"
+        if not path.is_file():
+            return None
+        match = _FULL_TEXT.search(read_text(path))
+        if match is None:
+            return None
+        return parse_full(str(ast.literal_eval(match.group(1))), name, World.ROS1)
+
+    def names(self, package: str) -> list[str]:
+        """See `Source.names`."""
+        files = (self.root / package / "msg").glob("_[A-Za-z]*.py")
+        return [f"{package}/{path.stem[1:]}" for path in sorted(files)]
+
+
+class Store:
+    """The standard types that rosbags ships."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+
+    def find(self, name: str) -> Found | None:
+        """See `Source.find`."""
+        definition = find_in_store(name, self.world)
+        return None if definition is None else {name: definition}
+
+    def names(self, package: str) -> list[str]:
+        """See `Source.names`."""
+        return store_names(package, self.world)
+
+
+def find_first(sources: Iterable[Source], name: str, world: World) -> Found | None:
+    """The first source's answer; None where no source knows ``name`` or it is no legal type name."""
+    legal = is_ros1_name(name) if world is World.ROS1 else is_ros2_name(name)
+    if not legal:
+        return None
+    for source in sources:
+        found = source.find(name)
+        if found is not None:
+            return found
+    return None
+
+
+def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Source]:
+    """Places of ROS 1 definitions, the most particular first.
+
+    Args:
+        folders: the configuration's ``.msg`` folders.
+        packages: folder of the ROS 1 Python packages, None for the usual ones.
+    """
+    python = [packages] if packages is not None else _ros1_python_folders()
+    shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
+    return [
+        *(Tree(folder, World.ROS1) for folder in folders),
+        *(Genpy(folder) for folder in python if folder.is_dir()),
+        *(Tree(folder, World.ROS1) for folder in shares if folder.is_dir()),
+        Store(World.ROS1),
+    ]
+
+
+def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Source]:
+    """Places of ROS 2 definitions, the most particular first.
+
+    Args:
+        folders: the configuration's ``.msg`` folders.
+        prefixes: installation prefixes of packages that were built here.
+    """
+    own = Path(__file__).parent.parent / "interfaces" / "definitions"
+    roots = [*prefixes, *_split(os.environ.get("AMENT_PREFIX_PATH")), Path(sys.prefix), Path("/opt/ros/jazzy")]
+    shares = dict.fromkeys(root / "share" for root in roots)
+    return [
+        *(Tree(folder, World.ROS2) for folder in folders),
+        *(Tree(share, World.ROS2) for share in shares if share.is_dir()),
+        Tree(own, World.ROS2),
+        Store(World.ROS2),
+    ]
+
+
+def read_text(path: Path) -> str:
+    """A definition file's text; `MessageTypeError` where it cannot be read."""
+    try:
+        if path.stat().st_size > MAX_TEXT:
+            msg = f"{path} is larger than {MAX_TEXT} bytes"
+            raise MessageTypeError(msg)
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as err:
+        msg = f"cannot read {path}: {err}"
+        raise MessageTypeError(msg) from None
+
+
+def _ros1_python_folders() -> list[Path]:
+    """Where Debian, a sourced workspace or /opt/ros put ROS 1's Python packages; never the venv's own ROS 2 ones."""
+    own = {Path(folder).resolve() for folder in site.getsitepackages()}
+    wanted = [*_split(os.environ.get("PYTHONPATH")), Path("/opt/ros/noetic/lib/python3/dist-packages")]
+    wanted.append(Path("/usr/lib/python3/dist-packages"))
+    return [folder for folder in dict.fromkeys(wanted) if folder.resolve() not in own]
+
+
+def _split(paths: str | None) -> list[Path]:
+    return [Path(path) for path in (paths or "").split(os.pathsep) if path]
