@@ -63,20 +63,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.verb is None:
             parser.print_help(sys.stderr)
             return 2
-        code: int = _module(args.verb).run(args)
-        sys.stdout.flush()
-        return code
+        return _run(args)
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
         # the reader of our output went away, as `| head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception as err:  # noqa: BLE001  the last place that can make one line of it
+    except Exception as err:
         if debug:
             raise
         _complain(err)
         return FAILED
+
+
+def _run(args: argparse.Namespace) -> int:
+    code: int = _module(args.verb).run(args)
+    sys.stdout.flush()  # a reader that went away is noticed here, where it is handled
+    return code
 
 
 def _version() -> int:

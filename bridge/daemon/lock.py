@@ -1,0 +1,71 @@
+"""Locks in the state folder: one daemon of a name, one process for each of its workers.
+
+An flock(2) lives as long as a process that holds its open file: it ends with a killed process, however it died, and is
+handed to a child by inheritance.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from bridge.daemon.protocol import Owner
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """Who holds a lock, as it wrote itself into the file."""
+
+    pid: int
+    machine: str
+    owner: Owner
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the holder is a process of this machine (a state folder may be shared over the network)."""
+        return self.machine == socket.gethostname()
+
+
+class Lock:
+    """An exclusive lock on a file; take it with `try_lock`, give it back with `close` (or by ending)."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+    def try_lock(self) -> bool:
+        """Try to take the lock, for this process or the one that it starts; False where another one holds it."""
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
+
+    def write(self, pid: int, owner: Owner) -> None:
+        """Say who holds the lock: this process, or the child that was given its descriptor."""
+        text = json.dumps({"pid": pid, "machine": socket.gethostname(), "owner": owner})
+        os.ftruncate(self._file, 0)
+        os.pwrite(self._file, text.encode(), 0)
+
+    def holder(self) -> Holder | None:
+        """Who holds it; None where nothing is written yet."""
+        try:
+            data = json.loads(os.pread(self._file, 4096, 0))
+            owner: Owner = "service" if data["owner"] == "service" else "daemon"
+            return Holder(int(data["pid"]), str(data["machine"]), owner)
+        except (ValueError, KeyError, TypeError):
+            return None
+
+    def fileno(self) -> int:
+        """The descriptor, for a child to inherit."""
+        return self._file
+
+    def close(self) -> None:
+        """Close this process's descriptor; the lock goes on while a child has one."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1

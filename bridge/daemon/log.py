@@ -1,0 +1,122 @@
+"""Logging of the daemon and its workers: to stderr, one line a record, journald's priorities where journald reads.
+
+A supervised worker writes ``<priority>text``; the daemon reads that, puts the worker's name before it and logs it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import sys
+from collections import deque
+from collections.abc import Callable, Mapping
+from enum import Enum
+
+from bridge.config.model import Config
+
+LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+KEPT_LINES = 200
+
+# syslog's numbers (sd-daemon(3)): err, warning, info, debug
+_PRIORITIES = {logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
+_PRIORITY = re.compile(r"<([0-7])>")
+
+
+class Style(Enum):
+    """How a line looks."""
+
+    TERMINAL = "terminal"
+    JOURNAL = "journal"
+    SUPERVISED = "supervised"
+
+
+def style_for(environ: Mapping[str, str] = os.environ) -> Style:
+    """What is written to: journald sets ``JOURNAL_STREAM`` for those whose output it reads."""
+    return Style.JOURNAL if environ.get("JOURNAL_STREAM") else Style.TERMINAL
+
+
+class LineFormatter(logging.Formatter):
+    """Formats a record as lines that each carry the priority or the time and level."""
+
+    def __init__(self, style: Style, name: str) -> None:
+        super().__init__(datefmt="%H:%M:%S")
+        self._look = style
+        self._who = name
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The record's lines."""
+        text = record.getMessage()
+        if record.exc_info:
+            text += "\n" + self.formatException(record.exc_info)
+        who = getattr(record, "worker", self._who)
+        before = self._before(record)
+        name = "" if self._look is Style.SUPERVISED else f"{who}: "
+        return "\n".join(f"{before}{name}{line}" for line in text.split("\n"))
+
+    def _before(self, record: logging.LogRecord) -> str:
+        if self._look is not Style.TERMINAL:
+            return f"<{priority(record.levelno)}>"
+        return f"{self.formatTime(record, self.datefmt)}.{int(record.msecs):03d} {record.levelname.lower():7} "
+
+
+def priority(level: int) -> int:
+    """Priority of a logging level, as syslog numbers them."""
+    return next((number for least, number in _PRIORITIES.items() if level >= least), 7)
+
+
+def split_priority(line: str) -> tuple[int, str]:
+    """Level and text of a worker's line; a line without priority (a library wrote it) counts as a warning."""
+    match = _PRIORITY.match(line)
+    if match is None:
+        return logging.WARNING, line
+    number = int(match[1])
+    level = next((level for level, least in _PRIORITIES.items() if number <= least), logging.DEBUG)
+    return level, line[match.end() :]
+
+
+class RelayHandler(logging.Handler):
+    """Keeps the last lines, and hands each on where somebody listens: the log of a worker that outlives its daemon."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFormatter(LineFormatter(Style.SUPERVISED, ""))
+        self._lines: deque[tuple[int, str]] = deque(maxlen=KEPT_LINES)
+        self._sink: Callable[[int, str], bool] = lambda _level, _text: False
+
+    def relay_to(self, sink: Callable[[int, str], bool]) -> None:
+        """Hand lines to ``sink``, which returns whether anybody took it."""
+        self._sink = sink
+
+    def flush(self) -> None:
+        """Hand on what nobody has taken yet."""
+        self.acquire()
+        try:
+            while self._lines and self._sink(*self._lines[0]):
+                self._lines.popleft()
+        finally:
+            self.release()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep the record's lines and hand them on."""
+        for line in self.format(record).split("\n"):
+            self._lines.append(split_priority(line))
+        self.flush()
+
+
+def setup(config: Config, name: str, style: Style, handler: logging.Handler | None = None) -> None:
+    """Set up the root logger of this process."""
+    logging.raiseExceptions = False  # a closed stderr must not stop a bridge
+    handler = handler or logging.StreamHandler(sys.stderr)
+    if handler.formatter is None:
+        handler.setFormatter(LineFormatter(style, name))
+    root = logging.getLogger()
+    for old in list(root.handlers):
+        root.removeHandler(old)
+    root.addHandler(handler)
+    set_level(config)
+
+
+def set_level(config: Config) -> None:
+    """Take up the configured level."""
+    logging.getLogger().setLevel(LEVELS[config.log.level])

@@ -1,0 +1,128 @@
+"""A worker's process: joins its main loop to the daemon's pipes, to a control socket, to systemd, or to nobody."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from bridge.config.model import Config
+from bridge.daemon import log, state
+from bridge.daemon.child import Child, Commands, Outcome, install_signals
+from bridge.daemon.limits import raise_open_files
+from bridge.daemon.notify import Notifier
+from bridge.daemon.pipe import DaemonPipe
+from bridge.daemon.protocol import EXIT_CANNOT_WORK, Beat, Owner, Report
+from bridge.daemon.workers import WorkerKind
+
+if TYPE_CHECKING:
+    from bridge.daemon.control import ControlServer
+    from bridge.daemon.lock import Lock
+
+logger = logging.getLogger("midspan.worker")
+
+
+class Process:
+    """This process, as that of one worker.
+
+    Args:
+        kind: which worker.
+        control: whether it has a control socket and so outlives its daemon.
+    """
+
+    def __init__(self, kind: WorkerKind, *, control: bool) -> None:
+        self._kind = kind
+        self._control = control
+        self._commands = Commands()
+        install_signals(self._commands)
+
+    def run_supervised(self) -> int:
+        """Run under the daemon; the exit code."""
+        pipe = DaemonPipe()
+        first = pipe.first_config()
+        if first is None:
+            return 0
+        config = first.config
+        if not self._control:
+            log.setup(config, self._kind.name, log.Style.SUPERVISED)
+            pipe.read_to(self._commands, stop_at_end=True)
+            return self._run(config, pipe.report)
+        relay = log.RelayHandler()
+        log.setup(config, self._kind.name, log.Style.SUPERVISED, relay)
+        server = self._open_control(config, "daemon")
+        relay.relay_to(server.relay)
+        try:
+            return self._run(config, server.report)
+        finally:
+            server.close()
+
+    def run_alone(self, config: Config, load: Callable[[], Config]) -> int | None:
+        """Run without a daemon; the exit code, or None where a new configuration needs this process to start again."""
+        log.setup(config, self._kind.name, log.style_for())
+        raise_open_files()
+        lock = self._lock(config)
+        server = self._open_control(config, "service") if self._control else None
+        notifier = Notifier()
+        ready = False
+
+        def report(said: Report) -> None:
+            nonlocal ready
+            if server is not None:
+                server.report(said)
+            if isinstance(said, Beat):
+                notifier.status(said.health.text)
+                notifier.feed_watchdog()
+                if not ready:
+                    notifier.ready()
+                    ready = True
+
+        child = Child(self._kind.create(), self._commands, report, load=load, end_for_restart=not self._control)
+        try:
+            return self._code(child, config)
+        finally:
+            notifier.stopping()
+            notifier.close()
+            if server is not None:
+                server.close()
+            if lock is not None:
+                lock.close()
+
+    def _run(self, config: Config, report: Callable[[Report], None]) -> int:
+        child = Child(self._kind.create(), self._commands, report)
+        code = self._code(child, config)
+        return 0 if code is None else code
+
+    def _code(self, child: Child, config: Config) -> int | None:
+        try:
+            outcome = child.run(config)
+        except Exception:
+            logger.exception("%s failed", self._kind.name)
+            return 1
+        if outcome is Outcome.NEEDS_RESTART:
+            return None
+        return EXIT_CANNOT_WORK if outcome is Outcome.CANNOT_WORK else 0
+
+    def _open_control(self, config: Config, owner: Owner) -> ControlServer:
+        from bridge.daemon.control import ControlServer
+
+        return ControlServer(state.control_socket(config, self._kind.name), owner, self._commands)
+
+    def _lock(self, config: Config) -> Lock | None:
+        """One process a worker, also beside a daemon of the same name."""
+        if sys.platform == "win32":
+            return None
+        import os
+
+        from bridge.daemon.lock import Lock
+
+        lock = Lock(state.worker_lock(config, self._kind.name))
+        if lock.try_lock():
+            lock.write(os.getpid(), "service")
+            return lock
+        holder = lock.holder()
+        lock.close()
+        who = f"as process {holder.pid} of {holder.machine}" if holder else "in another process"
+        what = f"the worker {self._kind.name} of '{config.name}' already runs {who}"
+        msg = f"{what}; stop it, or give this one another 'name' or 'state'"
+        raise RuntimeError(msg)

@@ -1,0 +1,211 @@
+"""What the daemon and a worker's process say to each other: JSON, one object a line.
+
+Commands (daemon to worker)::
+
+    {"config": {...}}                                    the whole configuration; the first one starts the worker
+    {"stop": true}
+
+Reports (worker to daemon)::
+
+    {"hello": {"pid": 1, "owner": "daemon"}}             first, where the worker has a control socket
+    {"beat": 1, "state": "running", "text": "2 routes"}  each half second, from the worker's main loop
+    {"reloaded": true}                                   a new configuration was taken up
+    {"restart": "why"}                                   it was not: only a restart of the worker can
+    {"failed": "why"}                                    the worker can never work here; its process ends
+    {"log": [30, "text"]}                                a log line of a worker that has a control socket
+
+The end of the daemon's stream is a stop command too, but for a worker with a control socket, which outlives the daemon.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from pydantic import ValidationError
+
+from bridge.config.model import Config
+from bridge.daemon.worker import Health
+
+MAX_LINE = 4 << 20
+BEAT_INTERVAL = 0.5
+EXIT_CANNOT_WORK = 78
+"""Exit code of a worker that can never work here (EX_CONFIG of sysexits.h)."""
+
+Owner = Literal["daemon", "service"]
+"""Who started a worker that outlives the daemon, and so who stops it."""
+
+
+class ProtocolError(ValueError):
+    """A line is not what the protocol allows."""
+
+
+@dataclass(frozen=True, slots=True)
+class NewConfig:
+    """Command: start with, or change to, this configuration."""
+
+    config: Config
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Command: stop, unregister everything and end."""
+
+    why: str = "told to"
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """Report: who the worker behind a control socket is."""
+
+    pid: int
+    owner: Owner
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Report: a heartbeat."""
+
+    number: int
+    health: Health
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Report: the new configuration is taken up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """Report: the new configuration needs a restart of this worker."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """Report: the worker can never work here."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """Report: one log line; ``level`` as in `logging`."""
+
+    level: int
+    text: str
+
+
+Command = NewConfig | Stop
+Report = Hello | Beat | Reloaded | Restart | Failed | Log
+
+
+def config_json(config: Config) -> dict[str, Any]:
+    """A configuration as plain data that `Config` reads back."""
+    return config.model_dump(mode="json", by_alias=True)
+
+
+def encode_command(command: Command) -> bytes:
+    """One line for a command."""
+    match command:
+        case NewConfig(config):
+            return _line({"config": config_json(config)})
+        case Stop():
+            return _line({"stop": True})
+
+
+def decode_command(line: bytes) -> Command:
+    """A command from its line; raises `ProtocolError`."""
+    data = _object(line)
+    if data.get("stop") is True:
+        return Stop("told to by the daemon")
+    if "config" in data:
+        try:
+            return NewConfig(Config.model_validate(data["config"]))
+        except ValidationError as err:
+            msg = f"a configuration that is not valid: {err}"
+            raise ProtocolError(msg) from err
+    msg = f"no command: {line[:200]!r}"
+    raise ProtocolError(msg)
+
+
+def encode_report(report: Report) -> bytes:
+    """One line for a report."""
+    match report:
+        case Hello(pid, owner):
+            return _line({"hello": {"pid": pid, "owner": owner}})
+        case Beat(number, health):
+            return _line({"beat": number, "state": health.state, "text": health.text})
+        case Reloaded():
+            return _line({"reloaded": True})
+        case Restart(why):
+            return _line({"restart": why})
+        case Failed(why):
+            return _line({"failed": why})
+        case Log(level, text):
+            return _line({"log": [level, text]})
+
+
+def decode_report(line: bytes) -> Report:
+    """A report from its line; raises `ProtocolError`."""
+    match _object(line):
+        case {"beat": int(number), "state": ("running" | "waiting" | "standby") as state, "text": str(text)}:
+            return Beat(number, Health(state, text))
+        case {"hello": {"pid": int(pid), "owner": str(owner)}} if owner in get_args(Owner):
+            return Hello(pid, "service" if owner == "service" else "daemon")
+        case {"reloaded": True}:
+            return Reloaded()
+        case {"restart": str(why)}:
+            return Restart(why)
+        case {"failed": str(why)}:
+            return Failed(why)
+        case {"log": [int(level), str(text)]}:
+            return Log(level, text)
+    msg = f"no report: {line[:200]!r}"
+    raise ProtocolError(msg)
+
+
+def _line(data: dict[str, Any]) -> bytes:
+    return json.dumps(data, separators=(",", ":")).encode() + b"\n"
+
+
+def _object(line: bytes) -> dict[str, Any]:
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as err:
+        msg = f"not JSON: {line[:200]!r}"
+        raise ProtocolError(msg) from err
+    if not isinstance(data, dict):
+        msg = f"not an object: {line[:200]!r}"
+        raise ProtocolError(msg)
+    return data
+
+
+class Lines:
+    """Cuts a stream of bytes into lines; one longer than the limit is cut off there, its rest is skipped."""
+
+    def __init__(self, limit: int = MAX_LINE) -> None:
+        self._limit = limit
+        self._rest = b""
+        self._skipping = False
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """The lines that are whole now, without their ends."""
+        *whole, rest = (self._rest + data).split(b"\n")
+        lines: list[bytes] = []
+        for line in whole:
+            if not self._skipping:
+                lines.append(line[: self._limit])
+            self._skipping = False
+        if len(rest) > self._limit and not self._skipping:
+            lines.append(rest[: self._limit])
+            self._skipping = True
+        self._rest = b"" if self._skipping else rest
+        return lines
+
+    def end(self) -> list[bytes]:
+        """What is left when the stream has ended."""
+        rest, self._rest = self._rest, b""
+        return [rest] if rest else []

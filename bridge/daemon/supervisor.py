@@ -1,0 +1,218 @@
+"""The daemon: starts the workers, watches them, reloads the configuration, reports, and stops all in order."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from bridge.config.load import load
+from bridge.config.model import Config
+from bridge.config.problems import ConfigError
+from bridge.daemon import log, state
+from bridge.daemon.limits import raise_open_files
+from bridge.daemon.lock import Lock
+from bridge.daemon.loop import Loop
+from bridge.daemon.notify import Notifier
+from bridge.daemon.slot import Phase, Slot, Timing
+from bridge.daemon.workers import worker_kinds
+
+logger = logging.getLogger("midspan.daemon")
+
+STEP = 0.25
+READY_AFTER = 10.0
+"""Ready at the latest after this, with what works by then: a side that is away must not fail the whole service."""
+STOP_SECONDS = 4.8
+STATUS_INTERVAL = 1.0
+
+
+class Supervisor:
+    """The daemon's one thread.
+
+    Args:
+        file: configuration file; None looks for one at each load.
+        standing: names of workers that services of their own run; they are adopted, never started here.
+        timing: limits of the workers.
+        environ: the environment.
+    """
+
+    def __init__(
+        self,
+        file: Path | None,
+        *,
+        standing: Collection[str] = (),
+        timing: Timing | None = None,
+        environ: Mapping[str, str] = os.environ,
+    ) -> None:
+        self._file = file
+        self._environ = environ
+        self._config = state.with_state(load(file), environ)
+        self._loop = Loop()
+        self._notify = Notifier(environ)
+        timing = timing or Timing()
+        self.slots = [
+            Slot(self._loop, kind, timing, standing=kind.name in standing) for kind in worker_kinds(environ).values()
+        ]
+        self._stops = 0
+        self._reload_wanted = False
+        self._announced = False
+        self._ready_at = 0.0
+        self._refused = ""
+        self._status_sent = 0.0
+
+    @property
+    def config(self) -> Config:
+        """The configuration that is running."""
+        return self._config
+
+    # -- from signal handlers and other threads ------------------------------------------------------------------------
+
+    def request_stop(self) -> None:
+        """Stop; a second time: at once."""
+        self._stops += 1
+        self._loop.wake()
+
+    def request_reload(self) -> None:
+        """Load the configuration again."""
+        self._reload_wanted = True
+        self._loop.wake()
+
+    # -- the loop ------------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Run until asked to stop.
+
+        Raises:
+            RuntimeError: another daemon of this name runs in this state folder.
+        """
+        lock = self._only_one()
+        try:
+            logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
+            self._begin(self._config)
+            while not self._stops:
+                self._step()
+                if self._reload_wanted:
+                    self._reload_wanted = False
+                    self._reload()
+        finally:
+            self._end()
+            lock.close()
+            self._notify.close()
+            self._loop.close()
+
+    def _only_one(self) -> Lock:
+        lock = Lock(state.daemon_lock(self._config))
+        if lock.try_lock():
+            lock.write(os.getpid(), "daemon")
+            return lock
+        holder = lock.holder()
+        lock.close()
+        who = f"process {holder.pid} of {holder.machine}" if holder else "another process"
+        msg = (
+            f"a daemon named '{self._config.name}' already runs ({who}) with the state folder {self._config.state};"
+            " stop it, or give this one another 'name' or 'state'"
+        )
+        raise RuntimeError(msg)
+
+    def _begin(self, config: Config) -> None:
+        self._announced = False
+        self._ready_at = time.monotonic() + READY_AFTER
+        for slot in self.slots:
+            slot.configure(config)
+
+    def _step(self) -> None:
+        interval = self._notify.watchdog_interval
+        self._loop.step(min(STEP, interval / 2) if interval else STEP)
+        for slot in self.slots:
+            slot.tick()
+        self._notify.feed_watchdog()
+        now = time.monotonic()
+        if not self._announced and (now > self._ready_at or all(slot.settled for slot in self.slots)):
+            self._announced = True
+            self._status_sent = 0.0
+            self._tell_status(now)
+            self._notify.ready()
+            logger.info("ready: %s", self.status())
+        self._tell_status(now)
+
+    def _tell_status(self, now: float) -> None:
+        if now - self._status_sent >= STATUS_INTERVAL:
+            self._status_sent = now
+            self._notify.status(self.status())
+
+    def status(self) -> str:
+        """One line that says it all."""
+        parts = []
+        for slot in self.slots:
+            if slot.phase is Phase.OFF:
+                continue
+            text = f"{slot.name} {slot.phase.value}"
+            if slot.text:
+                text += f": {slot.text}"
+            if slot.restarts:
+                text += f" ({slot.restarts} restarts)"
+            parts.append(text)
+        if self._refused:
+            parts.append(f"reload refused, the running configuration is kept: {self._refused}")
+        return " | ".join(parts) or "no worker is switched on"
+
+    # -- reload --------------------------------------------------------------------------------------------------------
+
+    def _reload(self) -> None:
+        self._notify.reloading()
+        try:
+            config = self._checked_again()
+        except (ConfigError, RuntimeError) as err:
+            logger.error("the configuration is not taken up, the running one is kept:\n%s", err)  # noqa: TRY400
+            first, *more = str(err).splitlines()
+            self._refused = f"{first} (and {len(more)} more)" if more else first
+            self._announced = False
+            return
+        logger.info("configuration loaded again")
+        self._refused = ""
+        log.set_level(config)
+        self._config = config
+        self._begin(config)
+
+    def _checked_again(self) -> Config:
+        config = state.with_state(load(self._file), self._environ)
+        for key in ("name", "state"):
+            old, new = getattr(self._config, key), getattr(config, key)
+            if old != new:
+                msg = f"{self._file}: {key}: changing it from '{old}' to '{new}' needs a restart of the daemon"
+                raise RuntimeError(msg)
+        return config
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        """Stop the bridge workers, then what outlives a crash but not a clean stop, all within `STOP_SECONDS`."""
+        self._notify.stopping()
+        self._notify.status("stopping")
+        begun = time.monotonic()
+        for slot in self.slots:
+            if slot.is_service:
+                slot.let_go()
+        bridges = [slot for slot in self.slots if not slot.kind.outlives]
+        last = [slot for slot in self.slots if slot.kind.outlives]
+        for group, until, left in ((bridges, 3.3, 2.8), (last, STOP_SECONDS, 1.0)):
+            for slot in group:
+                slot.stop("the daemon stops", left)
+            self._wait_for_end(group, begun + until)
+        for slot in self.slots:
+            if not slot.idle:
+                logger.error("%s: process %d does not end, even when killed", slot.name, slot.pid)
+                slot.let_go()
+        logger.info("stopped after %.1f s", time.monotonic() - begun)
+
+    def _wait_for_end(self, group: list[Slot], end: float) -> None:
+        while not all(slot.idle for slot in group) and time.monotonic() < end:
+            if self._stops > 1:
+                for slot in group:
+                    slot.kill()
+            self._loop.step(0.05)
+            for slot in group:
+                slot.tick()
+            self._notify.feed_watchdog()

@@ -1,0 +1,18 @@
+"""Fixtures of the daemon's tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.daemon.daemon import Daemon
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    """A daemon with fake workers in a folder of its own."""
+    made = Daemon(tmp_path)
+    yield made
+    made.close()

@@ -1,0 +1,101 @@
+"""A real ``midspan run`` with fake workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+
+from tests.support.process import Process
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[2]
+FAKES = ",".join(f"{name}=tests.daemon.fakes:{name.capitalize()}" for name in ("router", "ros1", "ros2"))
+
+
+class Daemon:
+    """Starts daemons in one folder and sees what becomes of their workers."""
+
+    def __init__(self, folder: Path, config: str = "") -> None:
+        self.folder = folder
+        self.file = folder / "midspan.yaml"
+        self.configure(config)
+        self.processes: list[Process] = []
+        self.env = {
+            **{name: value for name, value in os.environ.items() if not name.startswith(("MIDSPAN_", "ROS_"))},
+            "MIDSPAN_WORKERS": FAKES,
+            "FAKE_FOLDER": str(folder),
+            "PYTHONPATH": str(ROOT),
+            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+        }
+
+    def configure(self, config: str) -> None:
+        """Write the configuration file; its name and state folder are the test's."""
+        self.file.write_text(f"name: test\nstate: state\n{config}")
+
+    def order(self, worker: str, *orders: str) -> None:
+        """What a worker is to do from now on."""
+        file = self.folder / f"{worker}.do"
+        new = file.with_suffix(".new")
+        new.write_text(" ".join(orders))
+        new.replace(file)
+
+    def start(self, *options: str, env: dict[str, str] | None = None) -> Process:
+        """Start a daemon."""
+        return self.midspan("run", "--config", str(self.file), *options, env=env)
+
+    def midspan(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
+        """Start any midspan command."""
+        process = Process([sys.executable, "-m", "bridge.cli.main", *arguments], {**self.env, **(env or {})})
+        self.processes.append(process)
+        return process
+
+    def events(self, worker: str, kind: str = "") -> list[list[str]]:
+        """What was done to a worker so far, each event split into words."""
+        file = self.folder / f"{worker}.events"
+        lines = file.read_text().splitlines() if file.exists() else []
+        return [line.split() for line in lines if line.startswith(kind)]
+
+    def pids(self, worker: str) -> list[int]:
+        """Process ids of all starts of a worker so far."""
+        return [int(words[1]) for words in self.events(worker, "start")]
+
+    def wait_started(self, worker: str, count: int = 1, seconds: float = 20.0) -> int:
+        """Process id of a worker's start number ``count``."""
+        until(lambda: len(self.pids(worker)) >= count, f"start {count} of {worker}", seconds)
+        return self.pids(worker)[count - 1]
+
+    def wait_ready(self, process: Process) -> None:
+        """Wait until the daemon says that it is ready."""
+        until(lambda: "ready: " in process.output(), "ready", 20.0)
+
+    def wait_output(self, process: Process, text: str, seconds: float = 20.0) -> None:
+        """Wait for a text in what a process writes."""
+        until(lambda: text in process.output(), f"{text!r} in:\n{process.output()}", seconds)
+
+    def close(self) -> None:
+        """End all daemons, and all workers that a test left."""
+        for process in self.processes:
+            process.signal(signal.SIGCONT)
+            process.stop()
+        for worker in ("router", "ros1", "ros2"):
+            for pid in self.pids(worker):
+                if alive(pid):
+                    os.kill(pid, signal.SIGKILL)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs (a zombie does not)."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def gone(pid: int) -> Callable[[], bool]:
+    """Condition: the process is gone."""
+    return lambda: not alive(pid)
