@@ -1,0 +1,188 @@
+"""The ROS 2 edge: rclpy over Fast DDS, raw bytes both ways, no executor."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from bridge.adapters.base import (
+    Conversion,
+    Deliver,
+    Edge,
+    EdgeListener,
+    EdgePublisher,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+    SideType,
+)
+from bridge.adapters.ros2 import shm
+from bridge.adapters.ros2.environment import domain, use_profile
+from bridge.adapters.ros2.graph import Graph, Snapshot
+from bridge.adapters.ros2.loop import TakeLoop
+from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.publisher import Ros2Publisher
+from bridge.adapters.ros2.qos import mismatch
+from bridge.adapters.ros2.subscription import Ros2Subscription
+from bridge.adapters.ros2.types import TypeSupports
+from bridge.config.model import Config
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Qos
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+
+_log = logging.getLogger(__name__)
+
+
+class Ros2Edge(Edge):
+    """One participant on a ROS 2 (DDS) network. A process has one at a time: the mark is the process's."""
+
+    side: ClassVar[str] = "ros2"
+
+    def __init__(self, config: Config, registry: Registry, state: Path) -> None:
+        self._config, self._registry, self._state = config, registry, state
+        self._types = TypeSupports()
+        self._lock = threading.Lock()
+        self._subscriptions: set[Ros2Subscription] = set()
+        self._publishers: set[Ros2Publisher] = set()
+        self._listener: EdgeListener | None = None
+        self._prefix = b""
+        self._participant: Participant | None = None
+        self._loop: TakeLoop | None = None
+        self._graph: Graph | None = None
+
+    def start(self, listener: EdgeListener) -> None:
+        """Join the DDS network, which is always there; takes about half a second."""
+        self._listener = listener
+        removed = shm.clean()
+        if removed:
+            _log.info("removed %d shared-memory files of dead ROS 2 processes", removed)
+        self._prefix = use_profile(self._config, self._state)
+        self._participant = Participant(self._config.ros2.node, domain(self._config, os.environ))
+        self._loop = TakeLoop()
+        self._loop.start()
+        self._graph = Graph(self._participant.node, self._prefix, self._changed)
+        self._graph.start()
+
+    def _changed(self, _snapshot: Snapshot) -> None:
+        with self._lock:
+            subscriptions = list(self._subscriptions)
+        for subscription in subscriptions:
+            subscription.refit()
+        if self._listener is not None:
+            self._listener.graph_changed()
+
+    def stop(self) -> None:
+        """Leave the network."""
+        graph, self._graph = self._graph, None
+        loop, self._loop = self._loop, None
+        participant, self._participant = self._participant, None
+        if graph is None or loop is None or participant is None:
+            return
+        graph.stop()
+        with self._lock:
+            endpoints: list[Ros2Subscription | Ros2Publisher] = [*self._subscriptions, *self._publishers]
+        for endpoint in endpoints:
+            endpoint.close()
+        loop.stop()
+        graph.close()
+        participant.close()
+
+    def network(self) -> str | None:
+        """The participant's GUID prefix in hex."""
+        return self._prefix.hex() if self._participant is not None else None
+
+    def is_own_network(self, origin: Origin) -> bool:
+        """Whether a ROS 2 origin is ours, or its participant is seen on our DDS network."""
+        if origin.side != self.side or self._graph is None:
+            return False
+        try:
+            prefix = bytes.fromhex(origin.network)
+        except ValueError:
+            return False
+        return prefix == self._prefix or prefix in self._graph.snapshot.participants
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """Publishers and subscriptions of all other participants."""
+        return self._graph.snapshot.endpoints if self._graph is not None else ()
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """The bytes are the same; the type's hash must be the one we know, where the endpoint tells it."""
+        known = self._known(endpoint.type, endpoint.type_id)
+        return Conversion(known, known, None)
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """The bytes are the same once they are checked: DDS delivers junk nowhere, and says nothing."""
+        known = self._known(type_name, type_hash)
+        return Conversion(known, known, self._registry.hub_check(type_name))
+
+    def _known(self, type_name: str, type_hash: str) -> SideType:
+        known = self._registry.ros2(type_name)
+        if type_hash and type_hash != known.type_id:
+            raise MessageTypeError(
+                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
+                "install the same version of the message package on both, or give its .msg folder in types.folders",
+            )
+        return known
+
+    def learn(self, type_name: str, definition: str) -> None:
+        """Keep a definition that another worker told."""
+        self._registry.learn_ros2(type_name, definition)
+
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
+        """Subscribe; ``qos`` is the most that is asked for, each publisher is heard as far as it offers that."""
+        if self._participant is None or self._loop is None or self._graph is None:
+            msg = "the ROS 2 edge is not started"
+            raise RuntimeError(msg)
+        subscription = Ros2Subscription(
+            topic,
+            self._types.message_class(side_type.name, side_type.type_id),
+            qos,
+            deliver,
+            participant=self._participant,
+            loop=self._loop,
+            graph=self._graph,
+            check=lambda payload: self._registry.hub_check(side_type.name)(payload),
+            closed=self._subscription_closed,
+        )
+        with self._lock:
+            self._subscriptions.add(subscription)
+        return subscription
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Advertise; the topic is on the graph at once."""
+        if self._participant is None:
+            msg = "the ROS 2 edge is not started"
+            raise RuntimeError(msg)
+        message_class = self._types.message_class(side_type.name, side_type.type_id)
+        publisher = Ros2Publisher(topic, message_class, qos, self._participant, self._publisher_closed)
+        with self._lock:
+            self._publishers.add(publisher)
+        return publisher
+
+    def warnings(self) -> list[str]:
+        """Native subscriptions that do not hear what we publish, and why."""
+        with self._lock:
+            publishers = {p.topic: p for p in self._publishers}
+        found = []
+        for endpoint in self.endpoints():
+            publisher = publishers.get(endpoint.topic)
+            if publisher is None or endpoint.kind is not Kind.SUBSCRIPTION or endpoint.made_by is not MadeBy.NATIVE:
+                continue
+            why = mismatch(publisher.qos, endpoint.qos)
+            if why:
+                found.append(f"{endpoint.topic}: {endpoint.node or 'a node'} does not hear it: {why}")
+        return found
+
+    def _subscription_closed(self, subscription: Ros2Subscription) -> None:
+        with self._lock:
+            self._subscriptions.discard(subscription)
+
+    def _publisher_closed(self, publisher: Ros2Publisher) -> None:
+        with self._lock:
+            self._publishers.discard(publisher)

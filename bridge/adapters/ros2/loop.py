@@ -1,0 +1,113 @@
+"""One thread that takes the messages of all subscriptions.
+
+rcl counts new messages in an eventfd per subscription, from the middleware's thread and without Python; the thread here
+sleeps in epoll. So a message costs the same beside one subscription as beside five hundred, where a wait set and
+rclpy's executors look at every one for each message.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import threading
+from collections import deque
+from typing import Protocol
+
+from bridge.adapters.ros2 import rcl
+
+TAKES_PER_TURN = 32
+"""Messages taken of one subscription before the others get their turn."""
+
+_log = logging.getLogger(__name__)
+
+
+class Reader(Protocol):
+    """A DDS reader that the loop serves."""
+
+    @property
+    def pointer(self) -> int:
+        """``rcl_subscription_t *``."""
+
+    def drain(self, taker: rcl.Taker, limit: int) -> bool:
+        """Take and deliver up to ``limit`` messages; whether there may be more."""
+
+    def destroy(self) -> None:
+        """Give the reader back to the middleware; nothing refers to it any more."""
+
+
+class TakeLoop:
+    """The thread, and the readers that it serves."""
+
+    def __init__(self) -> None:
+        self._epoll = select.epoll()
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._epoll.register(self._wake, select.EPOLLIN)
+        self._readers: dict[int, Reader] = {}
+        self._leaving: deque[Reader] = deque()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="midspan-ros2-take", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def add(self, reader: Reader) -> None:
+        """Serve a reader from now on, what it already holds included."""
+        descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._readers[descriptor] = reader
+        self._epoll.register(descriptor, select.EPOLLIN)
+        rcl.wake_by_eventfd(reader.pointer, descriptor)
+
+    def remove(self, reader: Reader) -> None:
+        """Stop serving a reader and destroy it, on the loop's thread and soon."""
+        self._leaving.append(reader)
+        os.eventfd_write(self._wake, 1)
+
+    def stop(self) -> None:
+        """End the thread and destroy all readers."""
+        self._stopping = True
+        os.eventfd_write(self._wake, 1)
+        if self._thread.is_alive():
+            self._thread.join()
+        for reader in list(self._readers.values()):
+            self._drop(reader)
+        self._epoll.close()
+        os.close(self._wake)
+
+    def _run(self) -> None:
+        taker = rcl.Taker()
+        try:
+            while not self._stopping:
+                for descriptor, _ in self._epoll.poll():
+                    if descriptor == self._wake:
+                        os.eventfd_read(descriptor)
+                        while self._leaving:
+                            self._drop(self._leaving.popleft())
+                    else:
+                        self._serve(descriptor, taker)
+        finally:
+            taker.close()
+
+    def _serve(self, descriptor: int, taker: rcl.Taker) -> None:
+        reader = self._readers.get(descriptor)
+        if reader is None:
+            return
+        os.eventfd_read(descriptor)
+        try:
+            more = reader.drain(taker, TAKES_PER_TURN)
+        except Exception:
+            _log.exception("taking messages failed")
+            return
+        if more:
+            os.eventfd_write(descriptor, 1)
+
+    def _drop(self, reader: Reader) -> None:
+        for descriptor, known in self._readers.items():
+            if known is reader:
+                rcl.wake_by_eventfd(reader.pointer, None)
+                del self._readers[descriptor]
+                self._epoll.unregister(descriptor)
+                os.close(descriptor)
+                break
+        reader.destroy()

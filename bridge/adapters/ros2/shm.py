@@ -1,0 +1,77 @@
+"""Fast DDS's files in shared memory: how much room there is, whose they are, which are left behind.
+
+Fast DDS 2.14 makes ``fastrtps_<hex>`` (a segment) and ``fastrtps_port<n>`` (a port), each with a lock file
+``<name>_el`` that every living user holds locked (flock), and a semaphore ``sem.<port>_mutex``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import time
+from pathlib import Path
+
+FOLDER = Path("/dev/shm")  # noqa: S108 - where the system keeps POSIX shared memory
+LARGEST_SEGMENT = 64 * 1024 * 1024
+SMALLEST_SEGMENT = 8 * 1024 * 1024
+"""Below it shared memory is not worth having: large messages would go in pieces again."""
+
+_YOUNG_SECONDS = 5.0
+"""A file so young may be just made and not yet locked."""
+
+_LOCK = re.compile(r"^(fastrtps_(?:[0-9a-f]{16}|port\d+))_el$")
+
+
+def segment_size(folder: Path = FOLDER) -> int:
+    """Bytes for our segment: an eighth of what is free, at most 64 MiB; 0 where that is too little."""
+    try:
+        stat = os.statvfs(folder)
+    except OSError:
+        return 0
+    size = min(LARGEST_SEGMENT, stat.f_bavail * stat.f_frsize // 8)
+    return size if size >= SMALLEST_SEGMENT else 0
+
+
+def other_users(folder: Path = FOLDER) -> bool:
+    """Whether living Fast DDS participants of other users share the folder."""
+    mine = os.getuid()
+    for lock in _locks(folder):
+        with contextlib.suppress(OSError):
+            if lock.stat().st_uid != mine and _is_held(lock):
+                return True
+    return False
+
+
+def clean(folder: Path = FOLDER) -> int:
+    """Remove what dead participants left behind, and only that; the number of segments and ports removed."""
+    removed = 0
+    for lock in _locks(folder):
+        with contextlib.suppress(OSError):
+            if time.time() - lock.stat().st_mtime > _YOUNG_SECONDS and not _is_held(lock):
+                name = lock.name.removesuffix("_el")
+                for left in (folder / name, folder / f"sem.{name}_mutex", lock):
+                    left.unlink(missing_ok=True)
+                removed += 1
+    return removed
+
+
+def _locks(folder: Path) -> list[Path]:
+    try:
+        return [p for p in folder.iterdir() if _LOCK.match(p.name)]
+    except OSError:
+        return []
+
+
+def _is_held(lock: Path) -> bool:
+    """Whether a living process holds the lock; raises `OSError` where that cannot be found out."""
+    descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)

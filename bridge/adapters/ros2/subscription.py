@@ -1,0 +1,197 @@
+"""A subscription on the ROS 2 side that hears every native publisher of its topic.
+
+DDS matches a reader with the writers that offer at least what it asks for. So one reader does not do where publishers
+differ: asking for the history of a latched one excludes the volatile ones, and a best-effort reader is given no
+history. Publishers are therefore sorted into classes, each class has its own reader, and a message counts only from the
+reader of its publisher's class.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from bridge.adapters.base import Deliver, Endpoint, MadeBy
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.graph import Graph
+from bridge.adapters.ros2.loop import Reader, TakeLoop
+from bridge.adapters.ros2.mark import is_marked
+from bridge.adapters.ros2.participant import Participant
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.messages.errors import MessageError
+
+LATCHED_DEPTH = 128
+"""Depth of a reader of latched publishers: KEEP_LAST counts over all of a reader's writers, and they come at once."""
+
+_LITTLE_ENDIAN_CDR = b"\x00\x01"
+_LOG_SECONDS = 10.0
+
+_log = logging.getLogger(__name__)
+
+
+class Class(NamedTuple):
+    """What a reader asks for."""
+
+    reliability: Reliability
+    durability: Durability
+
+
+class _Source(NamedTuple):
+    id: str
+    reader_class: Class
+
+
+class Ros2Subscription:
+    """See the module."""
+
+    def __init__(
+        self,
+        topic: str,
+        message_class: Any,
+        qos: Qos,
+        deliver: Deliver,
+        *,
+        participant: Participant,
+        loop: TakeLoop,
+        graph: Graph,
+        check: Callable[[bytes], bytes],
+        closed: Callable[[Ros2Subscription], None],
+    ) -> None:
+        self.topic, self.qos, self.deliver, self.check = topic, qos, deliver, check
+        self._message_class = message_class
+        self._participant, self._loop, self._graph = participant, loop, graph
+        self._on_closed = closed
+        self._lock = threading.Lock()
+        self._readers: dict[Class, _ClassReader] = {}
+        self._sources: dict[bytes, _Source | None] = {}
+        self.closed = False
+        self._complained = float("-inf")
+        self.refit()
+
+    def refit(self) -> None:
+        """Have a reader for each class of the native publishers that are there now."""
+        publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
+        wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
+        if not wanted and not self._readers:
+            wanted = {Class(self.qos.reliability, self.qos.durability)}
+        with self._lock:
+            if self.closed:
+                return
+            for gone in [g for g in self._sources if g not in publishers]:
+                del self._sources[gone]
+            for new in wanted - self._readers.keys():
+                self._readers[new] = self._open(new)
+            for old in self._readers.keys() - wanted if wanted else ():
+                self._loop.remove(self._readers.pop(old))
+
+    def _open(self, reader_class: Class) -> _ClassReader:
+        depth = max(self.qos.depth, LATCHED_DEPTH) if reader_class.durability is Durability.TRANSIENT_LOCAL else 0
+        qos = replace(
+            self.qos,
+            reliability=reader_class.reliability,
+            durability=reader_class.durability,
+            depth=max(depth, self.qos.depth),
+        )
+        handle = self._participant.make_reader(self._message_class, self.topic, qos)
+        reader = _ClassReader(self, reader_class, handle, self._participant)
+        self._loop.add(reader)
+        return reader
+
+    def _class_of(self, publisher: Endpoint, among: Any) -> Class:
+        wish, offer = self.qos, publisher.qos
+        # The engine asks for best effort where any publisher is; only where none is, it is a rule that forces it.
+        forced = wish.reliability is Reliability.BEST_EFFORT and not any(
+            p.qos.reliability is Reliability.BEST_EFFORT for p in among
+        )
+        reliable = offer.reliability is Reliability.RELIABLE and not forced
+        latched = wish.latched and offer.latched and reliable
+        return Class(
+            Reliability.RELIABLE if reliable else Reliability.BEST_EFFORT,
+            Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
+        )
+
+    def source(self, gid: bytes, reader_class: Class) -> str | None:
+        """Id of the publisher whose message came by a reader, None where the message is not to be delivered."""
+        try:
+            source = self._sources[gid]
+        except KeyError:
+            source = self._resolve(gid, reader_class)
+        if source is None:
+            return None
+        own = source.reader_class
+        # Its own reader delivers it, or will: a latched one is given the history when it comes.
+        if own != reader_class and (own.durability is Durability.TRANSIENT_LOCAL or own in self._readers):
+            return None
+        return source.id
+
+    def _resolve(self, gid: bytes, reader_class: Class) -> _Source | None:
+        if is_marked(gid):
+            return None
+        publisher = self._graph.find(self.topic, gid)
+        if publisher is None:
+            return _Source(gid.hex(), reader_class)
+        known = {**self._graph.publishers(self.topic), gid: publisher}
+        source = _Source(gid.hex(), self._class_of(publisher, known.values()))
+        with self._lock:
+            self._sources[gid] = source
+        return source
+
+    def complain(self, source: str, err: Exception) -> None:
+        """Log a bad message, at a limited rate."""
+        if time.monotonic() - self._complained > _LOG_SECONDS:
+            self._complained = time.monotonic()
+            _log.warning("%s from %s: message dropped: %s", self.topic, source, err)
+
+    def close(self) -> None:
+        """Stop delivering and give the readers back. Safe to call twice."""
+        with self._lock:
+            if self.closed:
+                return
+            self.closed = True
+            readers, self._readers = list(self._readers.values()), {}
+        for reader in readers:
+            self._loop.remove(reader)
+        self._on_closed(self)
+
+
+class _ClassReader(Reader):
+    """One DDS reader of a subscription."""
+
+    def __init__(self, owner: Ros2Subscription, reader_class: Class, handle: Any, participant: Participant) -> None:
+        self._owner, self._class, self._handle, self._participant = owner, reader_class, handle, participant
+        # Held until `destroy`, so that the pointer stays good whatever thread closes the subscription.
+        handle.handle.__enter__()
+        self._pointer = int(handle.handle.pointer)
+        self._large = False
+
+    @property
+    def pointer(self) -> int:
+        return self._pointer
+
+    def drain(self, taker: rcl.Taker, limit: int) -> bool:
+        owner = self._owner
+        for _ in range(limit):
+            taken = taker.take(self._pointer, large=self._large)
+            if taken is None or owner.closed:
+                return False
+            payload, gid, source_ns = taken
+            self._large = len(payload) >= rcl.LARGE
+            source = owner.source(gid, self._class)
+            if source is None:
+                continue
+            if not payload.startswith(_LITTLE_ENDIAN_CDR):
+                try:
+                    payload = owner.check(payload)
+                except MessageError as err:
+                    owner.complain(source, err)
+                    continue
+            owner.deliver(payload, source, source_ns)
+        return True
+
+    def destroy(self) -> None:
+        self._handle.handle.__exit__(None, None, None)
+        self._participant.destroy_reader(self._handle)
