@@ -1,0 +1,246 @@
+"""Compiles and links what the generators made, with gcc and g++ alone.
+
+All files of one generator and one folder become one translation unit: they include the same headers, which is where
+much of the time goes. Measured on 2 cores for nav2_msgs (51 definitions, 358 generated files): 11 s against 23 s file
+by file. Only the type descriptions stay apart, since each has static names of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sysconfig
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from bridge.interfaces.errors import BuildError
+from bridge.interfaces.ros2 import GENERATORS, Ros2
+
+_CURE_COMPILER = "Install one: apt install g++"
+_FLAGS = ("-O1", "-fPIC", "-w")
+_STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
+_RUNTIME = (
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_fastrtps_cpp",
+    "rosidl_typesupport_introspection_c",
+    "rosidl_typesupport_c",
+    "rosidl_runtime_c",
+    "rcutils",
+    "rmw",
+    "fastcdr",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Dependency:
+    """A message package to compile and link against.
+
+    Attributes:
+        name: the package's name.
+        libraries: folder with its ``lib<name>__*.so``.
+        runpath: how the new libraries find that folder at run time (``$ORIGIN/...``), "" where the process knows it.
+        includes: folders with its headers, where they are not the installation's.
+    """
+
+    name: str
+    libraries: Path
+    runpath: str = ""
+    includes: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """The C and C++ compilers.
+
+    Attributes:
+        c: path of gcc, or what $CC names.
+        cpp: path of g++, or what $CXX names.
+    """
+
+    c: str
+    cpp: str
+
+    @classmethod
+    def find(cls) -> Compiler:
+        """The compilers of this machine.
+
+        Raises:
+            BuildError: one is missing, or Python's headers are.
+        """
+        found: list[str] = []
+        for variable, usual in (("CC", "gcc"), ("CXX", "g++")):
+            name = os.environ.get(variable) or usual
+            path = shutil.which(name)
+            if path is None:
+                raise BuildError(f"no compiler: '{name}' is not on the PATH", cure=_CURE_COMPILER)
+            found.append(path)
+        headers = Path(sysconfig.get_path("include"))
+        if not (headers / "Python.h").is_file():
+            raise BuildError(
+                f"no Python headers: {headers}/Python.h is missing", cure="Install them: apt install python3-dev"
+            )
+        return cls(found[0], found[1])
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One package to compile.
+
+    Attributes:
+        package: its name.
+        roots: the output folder of each generator, by its name.
+        work: folder for intermediate files.
+        libraries: folder for the shared libraries.
+        extension: folder for the Python extension.
+        dependencies: all packages that it needs, also indirectly.
+        jobs: how many compilers run at once.
+    """
+
+    package: str
+    roots: dict[str, Path]
+    work: Path
+    libraries: Path
+    extension: Path
+    dependencies: tuple[Dependency, ...]
+    jobs: int
+
+
+def compile_package(job: Job, ros2: Ros2, compiler: Compiler) -> None:
+    """Make the shared libraries and the Python extension of a package.
+
+    Raises:
+        BuildError: the compiler or the linker refused; with its first error line.
+    """
+    includes = [f"-I{folder}" for folder in _includes(job, ros2)]
+    units = [unit for generator in GENERATORS for unit in _units(job, generator)]
+    units.sort(key=lambda unit: -sum(file.stat().st_size for file in unit.files))  # the longest first: no one waits
+
+    def compile_unit(unit: _Unit) -> None:
+        command = compiler.c if unit.language == ".c" else compiler.cpp
+        define = f'-DROS_PACKAGE_NAME="{job.package}"'
+        _run([command, _STANDARD[unit.language], *_FLAGS, define, *includes, "-c", *unit.sources()], unit.folder)
+
+    with ThreadPoolExecutor(job.jobs) as pool:
+        list(pool.map(compile_unit, units))
+    _Linker(job, ros2, compiler.cpp).link_all()
+
+
+def _includes(job: Job, ros2: Ros2) -> Iterable[Path]:
+    yield from job.roots.values()
+    for dependency in job.dependencies:
+        yield from dependency.includes
+    yield from ros2.includes
+    yield Path(sysconfig.get_path("include"))
+    yield _numpy_headers()
+
+
+@cache
+def _numpy_headers() -> Path:
+    import numpy as np
+
+    return Path(np.get_include())
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """Files that one compiler call takes: one that includes all, or several that stay apart."""
+
+    folder: Path
+    language: str
+    files: tuple[Path, ...]
+    apart: bool = False
+
+    def sources(self) -> list[str]:
+        if self.apart:
+            return [str(file) for file in self.files]
+        whole = self.folder / f"whole{self.language}"
+        whole.write_text("".join(f'#include "{file}"\n' for file in self.files), encoding="utf-8")
+        return [str(whole)]
+
+
+def _units(job: Job, generator: str) -> Iterable[_Unit]:
+    root = job.roots[generator] / job.package
+    for language in _STANDARD:
+        for form in ("msg", "srv", "action"):
+            files = sorted((root / form).rglob(f"*{language}"))
+            apart = [file for file in files if file.stem.endswith("__description")]
+            together = [file for file in files if file not in apart]
+            name = f"{generator}-{form}{language}"
+            if together:
+                yield _Unit(_fresh(job.work / name), language, tuple(together))
+            for number, part in enumerate(_cut(apart, job.jobs)):
+                yield _Unit(_fresh(job.work / f"{name}-descriptions{number}"), language, part, apart=True)
+        entries = sorted(root.glob(f"*{language}"))
+        if entries:
+            yield _Unit(_fresh(job.work / f"{generator}-entry"), language, tuple(entries))
+
+
+def _cut(files: Sequence[Path], parts: int) -> list[tuple[Path, ...]]:
+    return [part for part in (tuple(files[start::parts]) for start in range(parts)) if part]
+
+
+def _fresh(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    return folder
+
+
+class _Linker:
+    """Links a package's five libraries and its extension, named as ROS 2 names them.
+
+    At run time `librosidl_typesupport_c` opens the two type supports by their bare names; the dynamic loader finds them
+    by their SONAME because the extension, which is loaded first, needs them. So no library path has to be set for them.
+    """
+
+    def __init__(self, job: Job, ros2: Ros2, command: str) -> None:
+        self._job = job
+        self._command = command
+        self._paths = [
+            f"-L{folder}" for folder in (job.libraries, *(d.libraries for d in job.dependencies), *ros2.libraries)
+        ]
+        self._others = [f"-l{library}" for d in job.dependencies for library in _libraries_of(d)]
+        self._others += [f"-l{library}" for library in _RUNTIME]
+        self._runpaths = [f"-Wl,-rpath,{d.runpath}" for d in job.dependencies if d.runpath]
+
+    def link_all(self) -> None:
+        """Link everything, the libraries in the order in which they need each other."""
+        package = self._job.package
+        linked: list[str] = []
+        generators = ("rosidl_generator_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
+        for generator in (*generators, "rosidl_typesupport_c", "rosidl_generator_py"):
+            self._link(
+                self._job.libraries / f"lib{package}__{generator}.so", [f"{generator}-[msa]*"], linked, "$ORIGIN"
+            )
+            linked.append(f"{package}__{generator}")
+        extension = self._job.extension / f"{package}_s__rosidl_typesupport_c.so"
+        up = Path(os.path.relpath(self._job.libraries, self._job.extension))
+        self._link(extension, ["rosidl_generator_py-entry"], linked, f"$ORIGIN/{up}")
+
+    def _link(self, output: Path, objects: list[str], own: list[str], origin: str) -> None:
+        files = [str(file) for pattern in objects for file in sorted(self._job.work.glob(f"{pattern}/*.o"))]
+        _run(
+            [
+                self._command, "-shared", "-s", "-o", str(output), *files, f"-Wl,-soname,{output.name}",
+                "-Wl,--enable-new-dtags", f"-Wl,-rpath,{origin}", *self._runpaths, *self._paths,
+                # the extension must need its type supports even where it does not call them
+                "-Wl,--no-as-needed", *(f"-l{library}" for library in own),
+                "-Wl,--as-needed", *self._others, "-Wl,--allow-shlib-undefined",
+            ],
+            self._job.work,
+        )  # fmt: skip
+
+
+def _libraries_of(dependency: Dependency) -> list[str]:
+    names = (f"{dependency.name}__{generator}" for generator in GENERATORS)
+    return [name for name in names if (dependency.libraries / f"lib{name}.so").is_file()]
+
+
+def _run(command: list[str], folder: Path) -> None:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines()
+        first = next((line for line in lines if "error" in line), lines[-1] if lines else "no message")
+        raise BuildError(f"{Path(command[0]).name} failed in {folder.name}: {first.strip()}")
