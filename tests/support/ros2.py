@@ -1,0 +1,60 @@
+"""ROS 2 for the tests: a domain of the process's own, and the environment of real rclpy programs on it."""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import os
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from bridge.adapters.ros2.environment import worker_environment
+from bridge.config.model import Config
+
+ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
+"""The program that `tests.support.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
+
+_DOMAINS = range(10, 100)
+"""Above 101 a domain's ports reach into Linux's ephemeral ones."""
+
+_held: list[int] = []
+
+
+@functools.cache
+def ros2_domain() -> int:
+    """A ROS domain that no other test process uses, held until this process ends."""
+    for domain in _DOMAINS:
+        path = Path(tempfile.gettempdir()) / f"midspan-test-ros2-domain-{domain}.lock"
+        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+        else:
+            _held.append(descriptor)
+            return domain
+    msg = f"all ROS domains from {_DOMAINS.start} to {_DOMAINS.stop - 1} are held by test processes"
+    raise RuntimeError(msg)
+
+
+def ros2_environment(**extra: str) -> dict[str, str]:
+    """Environment of a native ROS 2 program on this process's domain: stock settings, this machine only."""
+    own: Mapping[str, str] = os.environ
+    env = worker_environment(Config.model_validate({"ros2": {"domain": ros2_domain()}}), own)
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "PYTHONPATH"):
+        env.pop(name, None)
+    logs = Path(tempfile.gettempdir()) / f"midspan-test-ros2-log-{os.getuid()}"
+    env |= {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(logs),
+        "PYTHONUNBUFFERED": "1",
+        **extra,
+    }
+    return env
+
+
+def ros2_python() -> Path:
+    """The interpreter that has rclpy."""
+    return Path(sys.executable)

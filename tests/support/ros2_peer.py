@@ -1,0 +1,154 @@
+"""A real rclpy program that a test drives by JSON lines; see `tests.support.peer`. It knows nothing of Midspan."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import threading
+from array import array
+from typing import Any
+
+import rclpy
+import rclpy.utilities
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+
+def message_class(name: str) -> Any:
+    """The class of a type spelled ``package/Name``."""
+    package, _, short = name.rpartition("/")
+    return getattr(importlib.import_module(f"{package.partition('/')[0]}.msg"), short)
+
+
+def to_plain(value: Any) -> Any:
+    """A message, or a part of one, as JSON knows it."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {field: to_plain(getattr(value, field)) for field in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return value[0] if len(value) == 1 else list(value)
+    if isinstance(value, (list, tuple, array)) or hasattr(value, "tolist"):
+        return [to_plain(item) for item in value]
+    return value.item() if hasattr(value, "item") else value
+
+
+def fill(message: Any, fields: dict[str, Any]) -> Any:
+    """Set the fields of a message from JSON; those not named keep their defaults."""
+    types = message.get_fields_and_field_types()
+    for field, value in fields.items():
+        setattr(message, field, made(types[field], value))
+    return message
+
+
+def made(kind: str, value: Any) -> Any:
+    """A field's value of the ROS 2 type ``kind`` (as get_fields_and_field_types spells it)."""
+    if kind.startswith("sequence<"):
+        return [made(kind[9:-1].split(",")[0].strip(), item) for item in value]
+    if kind.endswith("]"):
+        return [made(kind.rpartition("[")[0], item) for item in value]
+    if kind == "octet":
+        return bytes([value])
+    return fill(message_class(kind)(), value) if "/" in kind else value
+
+
+class Endpoint:
+    """A publisher, or a subscription with what it received."""
+
+    def __init__(self, handle: Any, type_: Any) -> None:
+        self.handle, self.type = handle, type_
+        self.messages: list[Any] = []
+        self.arrived = threading.Condition()
+
+    def receive(self, message: Any) -> None:
+        with self.arrived:
+            self.messages.append(message)
+            self.arrived.notify_all()
+
+
+class Peer:
+    """The node and the commands on it."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.endpoints: dict[int, Endpoint] = {}
+
+    def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
+        type_ = message_class(params["type"])
+        return self._add(Endpoint(self.node.create_publisher(type_, params["topic"], qos(params)), type_))
+
+    def subscribe(self, params: dict[str, Any]) -> dict[str, Any]:
+        type_ = message_class(params["type"])
+        endpoint = Endpoint(None, type_)
+        endpoint.handle = self.node.create_subscription(type_, params["topic"], endpoint.receive, qos(params))
+        return self._add(endpoint)
+
+    def _add(self, endpoint: Endpoint) -> dict[str, Any]:
+        number = max(self.endpoints, default=0) + 1
+        self.endpoints[number] = endpoint
+        return {"id": number}
+
+    def publish(self, params: dict[str, Any]) -> dict[str, Any]:
+        endpoint = self.endpoints[params["id"]]
+        endpoint.handle.publish(fill(endpoint.type(), params["message"]))
+        return {}
+
+    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
+        endpoint = self.endpoints[params["id"]]
+        with endpoint.arrived:
+            endpoint.arrived.wait_for(lambda: len(endpoint.messages) >= params["count"], params["seconds"])
+            return {"messages": [to_plain(m) for m in endpoint.messages]}
+
+    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
+        handle = self.endpoints.pop(params["id"]).handle
+        if isinstance(handle, rclpy.publisher.Publisher):
+            self.node.destroy_publisher(handle)
+        else:
+            self.node.destroy_subscription(handle)
+        return {}
+
+    def graph(self, _params: dict[str, Any]) -> dict[str, Any]:
+        topics = dict(self.node.get_topic_names_and_types())
+        return {
+            "topics": topics,
+            "publishers": {t: [i.node_name for i in self.node.get_publishers_info_by_topic(t)] for t in topics},
+            "subscriptions": {t: [i.node_name for i in self.node.get_subscriptions_info_by_topic(t)] for t in topics},
+        }
+
+
+def qos(params: dict[str, Any]) -> Any:
+    """The profile that a command asks for."""
+    profile: Any = QoSProfile(  # type: ignore[no-untyped-call]
+        depth=params.get("depth") or 10,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if params.get("latched") else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.BEST_EFFORT if params.get("best_effort") else ReliabilityPolicy.RELIABLE,
+    )
+    return profile
+
+
+def main() -> None:
+    """Obey the commands on standard input until it ends."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    spinner = threading.Thread(target=executor.spin, daemon=True)
+    spinner.start()
+    peer = Peer(node)
+    for line in sys.stdin:
+        params = json.loads(line)
+        if params["do"] == "exit":
+            break
+        try:
+            answer = {"ok": True, **getattr(peer, params["do"])(params)}
+        except Exception as err:
+            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+        print(json.dumps(answer), flush=True)
+    executor.shutdown()
+    spinner.join(2)
+    node.destroy_node()
+    rclpy.utilities.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()
