@@ -15,13 +15,10 @@ from tests.contract.fakeside import FakeSide
 from tests.contract.hubside import HubSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
-from tests.contract.side import Bridge, Side
+from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
 from tests.support.hub import HubNetwork
 
 SIDES: dict[str, Callable[..., Side]] = {"fake": FakeSide, "ros1": Ros1Side, "ros2": Ros2Side}
-
-FOLDER = Path(__file__).parent / "msgs"
-
 
 @pytest.fixture()
 def hubs() -> Iterator[HubNetwork]:
@@ -43,7 +40,7 @@ def far(hubs: HubNetwork) -> Iterator[HubSide]:
     """The far end of every route: a native participant of the hub."""
     hub = Hub.open(hubs.settings("far"))
     try:
-        yield HubSide(hub, Registry(folders=[FOLDER]))
+        yield HubSide(hub, Registry(folders=[CUSTOM_FOLDER]))
     finally:
         hub.close()
 
@@ -58,7 +55,7 @@ def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config
                 "name": "contract",
                 "state": str(tmp_path / "state"),
                 "hub": {"listen": hubs.endpoint, "domain": hubs.domain},
-                "types": {"folders": [str(FOLDER)]},
+                "types": {"folders": [str(CUSTOM_FOLDER)]},
                 "routing": routing,
                 **side.config(),
             }

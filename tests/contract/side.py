@@ -18,6 +18,9 @@ from bridge.config.model import Config
 from tests.support.process import Process
 from tests.support.wait import until
 
+CUSTOM_FOLDER = Path(__file__).parent / "msgs"
+CUSTOM_TYPES = ("contract_msgs/Thing", "octomap_msgs/Octomap")
+
 
 class PeerLike(Protocol):
     """A program on the side; see ``tests.support.peer``."""
@@ -118,5 +121,3 @@ class WorkerProcess:
         self.process.popen.wait()
         self.process.stop()
 
-
-REPOSITORY = Path(__file__).resolve().parents[2]

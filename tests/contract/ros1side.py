@@ -1,0 +1,49 @@
+"""The contract suite's ROS 1: a real roscore and real rospy programs."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from bridge.adapters.ros1.environment import worker_environment
+from bridge.config.model import Config
+from bridge.messages.registry import Registry
+from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES, Side, WorkerProcess
+from tests.support.hub import HubNetwork
+from tests.support.peer import Peer
+from tests.support.ros1 import RosMaster
+
+
+class Ros1Side(Side):
+    """A roscore of its own."""
+
+    name = "ros1"
+
+    def __init__(self, _hubs: HubNetwork) -> None:
+        super().__init__()
+        self._registry = Registry(folders=[CUSTOM_FOLDER])
+        self._master = RosMaster()
+        self._master.start()
+
+    def peer(self) -> Peer:
+        peer = self._master.peer(f"peer{next(self._names)}")
+        self._open.append(peer)
+        for name in CUSTOM_TYPES:
+            peer.ask("define", type=name, definition=self._registry.ros1(name).definition)
+        return peer
+
+    def bridge(self, config: Config) -> WorkerProcess:
+        worker = WorkerProcess("ros1", config, worker_environment(config, os.environ))
+        self._open.append(worker)
+        return worker
+
+    def restart_network(self) -> None:
+        self._master.stop()
+        self._master.start()
+
+    def config(self) -> dict[str, Any]:
+        return {"ros1": {"master": self._master.uri, "poll": 0.1}}
+
+    def close(self) -> None:
+        super().close()
+        self._master.close()

@@ -1,0 +1,53 @@
+"""The contract suite's ROS 2: real rclpy programs over Fast DDS on a domain of its own."""
+
+from __future__ import annotations
+
+import functools
+import os
+from pathlib import Path
+from typing import Any
+
+from bridge.adapters.ros2.environment import worker_environment
+from bridge.config.model import Config
+from bridge.interfaces.builder import build
+from bridge.interfaces.paths import environment
+from bridge.interfaces.standing import read_folder
+from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
+from tests.support.hub import HubNetwork
+from tests.support.peer import Peer
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+
+
+class Ros2Side(Side):
+    """A DDS domain. It has no centre that could die; only its programs come and go."""
+
+    name = "ros2"
+
+    def __init__(self, _hubs: HubNetwork) -> None:
+        super().__init__()
+
+    def peer(self) -> Peer:
+        peer = Peer(ROS2_PEER, ros2_python(), _custom_environment(), f"peer{next(self._names)}")
+        self._open.append(peer)
+        return peer
+
+    def bridge(self, config: Config) -> WorkerProcess:
+        worker = WorkerProcess("ros2", config, worker_environment(config, os.environ))
+        self._open.append(worker)
+        return worker
+
+    def restart_network(self) -> None:
+        pass
+
+    def config(self) -> dict[str, Any]:
+        return {"ros2": {"domain": ros2_domain()}}
+
+
+@functools.cache
+def _custom_prefix() -> Path:
+    """The suite's own message packages, built as a user of them would have them."""
+    return build({folder.name: read_folder(folder) for folder in CUSTOM_FOLDER.iterdir()})
+
+
+def _custom_environment() -> dict[str, str]:
+    return {**ros2_environment(), **environment([_custom_prefix()])}
