@@ -1,0 +1,275 @@
+"""The ROS 1 edge: what is on the ROS 1 graph, and our endpoints there."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from bridge.adapters.base import (
+    Conversion,
+    Deliver,
+    Edge,
+    EdgeListener,
+    EdgePublisher,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+    SideType,
+)
+from bridge.adapters.ros1 import names
+from bridge.adapters.ros1.environment import master_uri
+from bridge.adapters.ros1.graph import Link, Look
+from bridge.adapters.ros1.lanes import Lanes
+from bridge.adapters.ros1.limits import raise_descriptor_limit
+from bridge.adapters.ros1.presence import Ledger, Presence, is_alive, others
+from bridge.adapters.ros1.probe import Facts, Prober
+from bridge.config.model import Config
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Durability, Qos
+from bridge.messages.registry import Registry
+
+if TYPE_CHECKING:
+    from bridge.adapters.ros1.master import Master
+    from bridge.adapters.ros1.node import Node
+    from bridge.adapters.ros1.subscription import Subscription
+
+_log = logging.getLogger(__name__)
+
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_VOLATILE = Qos()
+_LIVENESS_PERIOD = 1.0
+
+
+class Ros1Edge(Edge):
+    """Joins one ROS 1 graph. rospy is one per process, and so is this edge; once stopped it does not start again."""
+
+    side: ClassVar[str] = "ros1"
+
+    def __init__(self, config: Config, registry: Registry, state: Path) -> None:
+        self._config, self._registry = config, registry
+        self._ledger = Ledger(state)
+        self._lanes = Lanes()
+        self._prober = Prober(self._lanes, self._caller, self._probed)
+        self._names = names.NameTable()
+        self._lock = threading.Lock()
+        self._look: Look | None = None
+        self._subscriptions: set[_Open] = set()
+        self._others: dict[Presence, bool] = {}
+        self._others_due = 0.0
+        self._listener: EdgeListener | None = None
+        self._node: Node | None = None
+        self._master: Master | None = None
+        self._stopped = False
+
+    # -- life ----------------------------------------------------------------------------------------------------------
+
+    def start(self, listener: EdgeListener) -> None:
+        """Put our node up and begin to look for the master; see `Edge.start`."""
+        from bridge.adapters.ros1.master import Master
+        from bridge.adapters.ros1.node import Node
+
+        raise_descriptor_limit()
+        self._listener = listener
+        uri = master_uri(self._config, os.environ)
+        name = "/" + self._config.ros1.node.strip("/")
+        self._node = Node(name, uri, self._wake_master, listener.edge_failed)
+        self._master = Master(uri, self._node, self._config.name, self._ledger, self._config.ros1.poll, self._seen)
+        self._master.start()
+
+    def stop(self) -> None:
+        """Unregister everything and close; see `Edge.stop`."""
+        with self._lock:
+            if self._stopped:
+                return
+            self._stopped = True
+            subscriptions, self._subscriptions = list(self._subscriptions), set()
+        if self._master is not None:
+            self._master.stop()
+        for opened in subscriptions:
+            opened.close()
+        self._lanes.stop()
+        if self._node is not None:
+            self._node.stop()
+        self._look = None
+
+    def _caller(self) -> str:
+        return self._node.name if self._node is not None else "/midspan"
+
+    def _wake_master(self) -> None:
+        if self._master is not None:
+            self._master.wake()
+
+    # -- the graph -----------------------------------------------------------------------------------------------------
+
+    def network(self) -> str | None:
+        """The master's run id, None while it is away."""
+        look = self._look
+        return look.network if look is not None else None
+
+    def is_own_network(self, origin: Origin) -> bool:
+        """Whether an origin is the very master that we are joined to."""
+        return origin.side == self.side and origin.network == self.network()
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """The other nodes' publishers and subscriptions."""
+        look = self._look
+        if look is None:
+            return ()
+        own, facts = self._caller(), self._prober.facts()
+        found = [self._publisher(link, look, facts.get(link)) for link in look.publishers if link.node != own]
+        found += [self._subscriber(link, look) for link in look.subscribers if link.node != own]
+        return found
+
+    def others(self) -> Sequence[Presence]:
+        """Other nodes of Midspan's on this network that are alive, in the order of their names."""
+        with self._lock:
+            return sorted((p for p, alive in self._others.items() if alive), key=lambda p: p.node)
+
+    def warnings(self) -> list[str]:
+        """What a person should know of this side."""
+        warnings = []
+        if self._look is None and self._master is not None and self._master.trouble:
+            warnings.append(f"no ROS 1 master: {self._master.trouble}")
+        for link, trouble in sorted(self._prober.troubles().items()):
+            warnings.append(f"{link.topic}: its publisher {link.node} does not tell its type: {trouble}")
+        return warnings
+
+    @staticmethod
+    def _publisher(link: Link, look: Look, facts: Facts | None) -> Endpoint:
+        from bridge.adapters.ros1.subscription import publisher_id
+
+        if facts is None:
+            type_, qos, made_by, md5, definition = look.types.get(link.topic, ""), _VOLATILE, MadeBy.UNKNOWN, "", ""
+        else:
+            type_, md5, definition = facts.type, facts.md5, facts.definition
+            qos = _LATCHED if facts.latching else _VOLATILE
+            made_by = MadeBy.NATIVE if facts.native else MadeBy.MIDSPAN
+        return Endpoint(publisher_id(link), Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
+
+    @staticmethod
+    def _subscriber(link: Link, look: Look) -> Endpoint:
+        made_by = MadeBy.MIDSPAN if any(p.get("node") == link.node for p in look.presence.values()) else MadeBy.NATIVE
+        name = f"subscription {link.topic} {link.node} {link.uri}"
+        type_ = look.types.get(link.topic, "").replace("*", "")
+        return Endpoint(name, Kind.SUBSCRIPTION, link.topic, type_, _VOLATILE, made_by, link.node)
+
+    def _seen(self, look: Look | None) -> None:
+        """One look at the master; called on its thread."""
+        assert self._node is not None
+        changed = look is not self._look
+        self._look = look
+        publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
+        self._prober.follow(publishers)
+        if changed:
+            self._names.learn({p.topic for p in publishers} | {s.topic for s in look.subscribers} if look else ())
+            self._lanes.forget({p.uri for p in publishers})
+        self._follow_subscriptions()
+        self._node.drop_dead_connections()
+        self._watch_others(look)
+        if changed and self._listener is not None:
+            self._listener.graph_changed()
+
+    def _probed(self) -> None:
+        self._follow_subscriptions()
+        if self._listener is not None:
+            self._listener.graph_changed()
+
+    def _follow_subscriptions(self) -> None:
+        with self._lock:
+            subscriptions = list(self._subscriptions)
+        if not subscriptions:
+            return
+        by_topic: dict[str, dict[Link, Facts]] = {}
+        for link, facts in self._prober.facts().items():
+            by_topic.setdefault(link.topic, {})[link] = facts
+        for opened in subscriptions:
+            opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
+
+    def _watch_others(self, look: Look | None) -> None:
+        assert self._master is not None
+        found = others(look, self._master.presence()) if look is not None else []
+        now = time.monotonic()
+        with self._lock:
+            self._others = {p: self._others.get(p, True) for p in found}
+            if not found or now < self._others_due:
+                return
+            self._others_due = now + _LIVENESS_PERIOD
+        for presence in found:
+            self._lanes.submit(presence.uri, lambda presence=presence: self._check_other(presence))  # type: ignore[misc]
+
+    def _check_other(self, presence: Presence) -> None:
+        alive = is_alive(self._caller(), presence)
+        with self._lock:
+            changed = self._others.get(presence, alive) != alive
+            if presence in self._others:
+                self._others[presence] = alive
+        if changed and self._listener is not None:
+            self._listener.graph_changed()
+
+    # -- types and names -----------------------------------------------------------------------------------------------
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """See `Edge.to_hub`."""
+        return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id, endpoint.definition)
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """See `Edge.from_hub`."""
+        return self._registry.hub_to_ros1(type_name, type_hash)
+
+    def learn(self, type_name: str, definition: str) -> None:
+        """See `Edge.learn`."""
+        self._registry.learn_ros2(type_name, definition)
+
+    def side_name(self, hub_name: str) -> str:
+        """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
+        return self._names.side_name(hub_name)
+
+    def hub_name(self, side_name: str) -> str:
+        """The hub's spelling of a ROS 1 topic name; see `bridge.adapters.ros1.names`."""
+        return names.hub_name(side_name)
+
+    # -- our endpoints -------------------------------------------------------------------------------------------------
+
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
+        """Hear the native publishers of a topic that have this type; ROS 1 has no QoS to ask for."""
+        from bridge.adapters.ros1.subscription import Subscription
+
+        subscription = Subscription(
+            topic, side_type.type_id, deliver, lanes=self._lanes, caller=self._caller, doubt=self._prober.doubt
+        )
+        opened = _Open(self, subscription)
+        with self._lock:
+            self._subscriptions.add(opened)
+        self._follow_subscriptions()
+        return opened
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Publish on a topic; latched QoS keeps the last ``depth`` messages of each source for late joiners."""
+        from bridge.adapters.ros1.publisher import Publisher
+
+        return Publisher(topic, side_type, qos, self._config.name)
+
+    def closed(self, opened: _Open) -> None:
+        """A subscription was given back."""
+        with self._lock:
+            self._subscriptions.discard(opened)
+
+
+class _Open:
+    """An open subscription, as the engine holds it."""
+
+    def __init__(self, edge: Ros1Edge, subscription: Subscription) -> None:
+        self._edge, self.subscription = edge, subscription
+
+    def close(self) -> None:
+        """Stop delivering and give the registration back."""
+        self._edge.closed(self)
+        with contextlib.suppress(RuntimeError):
+            self.subscription.close()

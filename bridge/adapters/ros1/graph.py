@@ -1,0 +1,109 @@
+"""A master's state at one look, and how it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from bridge.adapters.ros1.rpc import RpcClient
+
+PRESENCE = "/midspan/nodes"
+"""Master parameter under which every Midspan node says that it is there."""
+
+
+class Link(NamedTuple):
+    """One node's registration for one topic.
+
+    Attributes:
+        node: the node's name.
+        topic: the topic's name as it is registered.
+        uri: the node's XML-RPC address, "" where the master does not know it.
+    """
+
+    node: str
+    topic: str
+    uri: str
+
+
+@dataclass(frozen=True)
+class Look:
+    """A master's state at one look.
+
+    Attributes:
+        run: what changes when the master is started anew: its run id and its process.
+        network: identity of the ROS 1 network: the master's ``/run_id``, which roscore sets; a bare rosmaster's address
+            and process id.
+        uris: XML-RPC address of each node.
+        presence: the entries of `PRESENCE` by their key.
+    """
+
+    run: str
+    network: str
+    publishers: frozenset[Link] = frozenset()
+    subscribers: frozenset[Link] = frozenset()
+    services: Mapping[str, str] = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
+    uris: Mapping[str, str] = field(default_factory=dict)
+    presence: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+class Looker:
+    """Reads a master's state; a look at an unchanged master costs one exchange and no parsing."""
+
+    def __init__(self, client: RpcClient, caller: str) -> None:
+        self.caller = caller
+        self._client = client
+        self._nodes: tuple[str, ...] = ()
+        self._answers: list[Any] = []
+        self._look: Look | None = None
+
+    def look(self) -> Look:
+        """The master's state now; the very same object as the last time where nothing changed."""
+        answers = self._ask()
+        if answers is self._answers and self._look is not None:
+            return self._look
+        nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
+        if nodes != self._nodes:
+            self._nodes = nodes
+            answers = self._ask()
+        self._answers = answers
+        self._look = self._read(answers)
+        return self._look
+
+    def _ask(self) -> list[Any]:
+        me = self.caller
+        return self._client.calls([
+            ("getSystemState", (me,)), ("getTopicTypes", (me,)), ("getParam", (me, "/run_id")),
+            ("getParam", (me, PRESENCE)), ("getPid", (me,)), ("getUri", (me,)),
+            *(("lookupNode", (me, node)) for node in self._nodes),
+        ])  # fmt: skip
+
+    def _read(self, answers: list[Any]) -> Look:
+        types, run_id, presence, pid, uri = answers[1:6]
+        uris = {n: u for n, u in zip(self._nodes, answers[6:], strict=True) if isinstance(u, str)}
+        publishers, subscribers, services = _state(answers)
+        network = run_id if isinstance(run_id, str) and run_id else f"{uri}#{pid}"
+        return Look(
+            run=f"{network}#{pid}",
+            network=network,
+            publishers=_links(publishers, uris),
+            subscribers=_links(subscribers, uris),
+            services={name: nodes[0] for name, nodes in services if nodes},
+            types={str(name): str(type_) for name, type_ in types or ()},
+            uris=uris,
+            presence={k: v for k, v in presence.items() if isinstance(v, dict)} if isinstance(presence, dict) else {},
+        )
+
+
+_State = tuple[list[tuple[str, list[str]]], ...]
+
+
+def _state(answers: list[Any]) -> _State:
+    """Publishers, subscribers and services, each as pairs of a name and its nodes."""
+    kinds = answers[0] if isinstance(answers[0], list) else [[], [], []]
+    return tuple([(str(name), [str(n) for n in nodes]) for name, nodes in kind] for kind in kinds[:3])
+
+
+def _links(kind: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Link]:
+    return frozenset(Link(node, topic, uris.get(node, "")) for topic, nodes in kind for node in nodes)

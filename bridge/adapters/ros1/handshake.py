@@ -1,0 +1,131 @@
+"""The TCPROS handshake: a header each way before the messages.
+
+A header is a little-endian 32-bit length, then fields of ``<32-bit length>name=value``
+(https://wiki.ros.org/ROS/TCPROS, https://wiki.ros.org/ROS/Connection%20Header).
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError
+from bridge.adapters.ros1.rpc import ask
+
+MAX_HEADER = 2**20
+"""Bytes of the longest header that is read; the definition of the largest common type is about 20 kB."""
+
+ORIGIN_FIELD = "midspan_origin"
+"""Header field of every publisher that a Midspan made; its value names the daemon."""
+
+Header = Mapping[str, str]
+
+_LENGTH = struct.Struct("<I")
+
+
+def encode(fields: Header) -> bytes:
+    """A header's bytes."""
+    lines = [f"{name}={value}".encode() for name, value in fields.items()]
+    body = b"".join(_LENGTH.pack(len(line)) + line for line in lines)
+    return _LENGTH.pack(len(body)) + body
+
+
+def decode(body: bytes) -> dict[str, str]:
+    """The fields of a header whose leading length is already taken off."""
+    fields: dict[str, str] = {}
+    at = 0
+    while at < len(body):
+        if at + 4 > len(body):
+            msg = "the connection header ends within a field's length"
+            raise ProtocolError(msg)
+        (length,) = _LENGTH.unpack_from(body, at)
+        line = body[at + 4 : at + 4 + length]
+        at += 4 + length
+        name, equals, value = line.partition(b"=")
+        if len(line) != length or not equals:
+            msg = "a field of the connection header is cut short or has no '='"
+            raise ProtocolError(msg)
+        # Definitions quote people's names in whatever encoding their editor had.
+        fields[name.decode(errors="replace").strip()] = value.decode(errors="replace")
+    return fields
+
+
+def read_header(sock: DeadlineSocket) -> dict[str, str]:
+    """Read one header and not a byte more, until the socket's deadline."""
+    (length,) = _LENGTH.unpack(_read(sock, 4))
+    if length > MAX_HEADER:
+        msg = f"the connection header claims {length} bytes, at most {MAX_HEADER} are read"
+        raise ProtocolError(msg)
+    return decode(_read(sock, length))
+
+
+def _read(sock: DeadlineSocket, count: int) -> bytes:
+    parts: list[bytes] = []
+    while count:
+        part = sock.recv(min(count, 65536))
+        if not part:
+            msg = "the peer closed the connection within its header"
+            raise ProtocolError(msg)
+        parts.append(part)
+        count -= len(part)
+    return b"".join(parts)
+
+
+def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[DeadlineSocket, dict[str, str]]:
+    """Connect to a publisher as an any-type subscriber, up to and with its header.
+
+    Args:
+        caller: name of the node that we are.
+        uri: XML-RPC address of the publishing node.
+        topic: topic name as it is registered.
+        seconds: for all of it together.
+
+    Raises:
+        Ros1Error: with the reason, for people.
+    """
+    deadline = time.monotonic() + seconds
+    chosen = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
+    host, port = _address(chosen, uri)
+    try:
+        sock = DeadlineSocket.connected(host, port, deadline)
+    except (OSError, OverflowError) as err:
+        msg = f"cannot connect to {host}:{port} where {uri} publishes: {str(err) or type(err).__name__}"
+        raise UnreachableError(msg) from None
+    try:
+        return sock, _converse(sock, caller, topic, f"{host}:{port}")
+    except BaseException:
+        sock.close()
+        raise
+
+
+def _converse(sock: DeadlineSocket, caller: str, topic: str, peer: str) -> dict[str, str]:
+    ours = {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "message_definition": ""}
+    try:
+        sock.sendall(encode({**ours, "tcp_nodelay": "1"}))
+        header = read_header(sock)
+    except TimeoutError:
+        msg = f"{peer} sends no connection header in time"
+        raise UnreachableError(msg) from None
+    except OSError as err:
+        msg = f"{peer} broke off the handshake: {err}"
+        raise UnreachableError(msg) from None
+    except ProtocolError as err:
+        msg = f"{peer}: {err}"
+        raise ProtocolError(msg) from None
+    if "error" in header:
+        raise RefusedError(header["error"])
+    if not header.get("type") or not header.get("md5sum"):
+        msg = f"{peer} names no type in its connection header"
+        raise ProtocolError(msg)
+    return header
+
+
+def _address(chosen: Any, uri: str) -> tuple[str, int]:
+    match chosen:
+        case ["TCPROS", str(host), int(port), *_] if 0 < port < 65536:
+            return host, port
+    msg = f"{uri} offers no TCPROS connection: {str(chosen)[:200]}"
+    raise Ros1Error(msg)

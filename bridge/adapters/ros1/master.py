@@ -1,0 +1,196 @@
+"""The one thread that talks to the master: looks at its graph, and keeps our registrations there as they should be.
+
+rospy registers once and never again. Here what our node wants is compared with what the master says at every look, and
+the difference is made up; so a master that was restarted, or that lost our registrations, has them again within one
+look.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import threading
+from collections.abc import Callable, Iterator, Sequence
+
+from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.graph import Look, Looker
+from bridge.adapters.ros1.node import Node
+from bridge.adapters.ros1.presence import Ledger, Presence, burial, is_alive
+from bridge.adapters.ros1.rpc import Call, RpcClient
+
+_log = logging.getLogger(__name__)
+
+_TIMEOUT = 2.0
+_STOP_TIMEOUT = 0.7
+_RETRY = 0.1
+_FAILURES = 2
+_BATCH = 200
+_SPARE_NAMES = 9
+
+Seen = Callable[[Look | None], None]
+
+
+class Master:
+    """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away."""
+
+    def __init__(self, uri: str, node: Node, daemon: str, ledger: Ledger, period: float, seen: Seen) -> None:
+        self.uri = uri
+        self.trouble = ""
+        self._node, self._daemon, self._ledger = node, daemon, ledger
+        self._period, self._seen = period, seen
+        self._client = RpcClient(uri, _TIMEOUT)
+        self._looker = Looker(self._client, node.name)
+        self._run_id: str | None = None
+        self._failures = 0
+        self._refused: set[str] = set()
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
+
+    def start(self) -> None:
+        """Start following; the master may be away."""
+        self._wake.set()
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Look again at once."""
+        self._wake.set()
+
+    def presence(self) -> Presence:
+        """Our own entry."""
+        return Presence(self._ledger.owner, self._daemon, self._node.name, self._node.uri, os.getpid())
+
+    def stop(self) -> None:
+        """Unregister all that the master has of this node."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(_STOP_TIMEOUT)
+        client = RpcClient(self.uri, _STOP_TIMEOUT)
+        with contextlib.closing(client):
+            try:
+                own = self.presence()
+                look = Looker(client, own.node).look()
+                for batch in _batches([*burial(look, [own]), *self._service_calls(client, look, {})]):
+                    client.calls(batch)
+                self._ledger.remember(None)
+            except Ros1Error as err:
+                _log.info("not unregistered, the master is away: %s", err)
+
+    def _loop(self) -> None:
+        while True:
+            self._wake.wait(_RETRY if self._failures == 1 else self._period)
+            self._wake.clear()
+            if self._stopping.is_set():
+                self._client.close()
+                return
+            try:
+                look = self._turn()
+            except Ros1Error as err:
+                self._failed(err)
+            else:
+                self._failures, self.trouble = 0, ""
+                self._seen(look)
+
+    def _turn(self) -> Look:
+        look = self._looker.look()
+        if look.run != self._run_id:
+            self._join(look)
+            look = self._looker.look()
+            self._run_id = look.run
+        calls = self._missing(look)
+        for batch in _batches(calls):
+            if self._stopping.is_set():
+                break
+            self._check(batch, self._client.calls(batch))
+        return self._looker.look() if calls else look
+
+    def _failed(self, err: Ros1Error) -> None:
+        self._failures += 1
+        self.trouble = str(err)
+        if self._failures == _FAILURES:
+            _log.warning("the ROS 1 master is away: %s", err)
+        if self._failures >= _FAILURES:
+            self._run_id = None
+            self._seen(None)
+
+    # -- joining -------------------------------------------------------------------------------------------------------
+
+    def _join(self, look: Look) -> None:
+        own = self.presence()
+        dead = [e for e in self._ledger.predecessors(look, own) if not is_alive(own.node, e)]
+        for batch in _batches(burial(look, dead)):
+            self._client.calls(batch)
+        name = self._free_name(look, {e.uri for e in dead})
+        if name != self._node.name:
+            _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
+            self._node.rename(name)
+            self._looker.caller = name
+        self._ledger.remember(self.presence())
+        _log.info("joined the ROS 1 network %s as %s", look.network, name)
+
+    def _free_name(self, look: Look, dead: set[str]) -> str:
+        """Our name, or one made of it where a living node of somebody else has it: the master would end that one."""
+        first = self._node.name
+        second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
+        for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
+            uri = look.uris.get(name)
+            entry = Presence.parse(look.presence.get(Presence("", "", name, "", 0).key))
+            holders = {u for u in (uri, entry.uri if entry else None) if u and u != self._node.uri and u not in dead}
+            if not any(self._answers(holder) for holder in holders):
+                return name
+        return f"{second}_{os.getpid()}"
+
+    def _answers(self, uri: str) -> bool:
+        try:
+            client = RpcClient(uri, 1.0)
+            with contextlib.closing(client):
+                client.call("getPid", self._node.name)
+        except Ros1Error:
+            return False
+        return True
+
+    # -- registrations -------------------------------------------------------------------------------------------------
+
+    def _missing(self, look: Look) -> list[Call]:
+        """The calls that make the master's state of us what it should be."""
+        name, uri = self._node.name, self._node.uri
+        published, subscribed = self._node.publications(), self._node.subscriptions()
+        has_published = {p.topic for p in look.publishers if p.node == name and p.uri == uri}
+        has_subscribed = {s.topic for s in look.subscribers if s.node == name and s.uri == uri}
+        calls: list[Call] = [
+            *(("unregisterPublisher", (name, t, uri)) for t in has_published - published.keys()),
+            *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
+            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - has_published),
+            *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
+            *self._service_calls(self._client, look, self._node.services()),
+        ]
+        own = self.presence()
+        if Presence.parse(look.presence.get(own.key)) != own:
+            calls.append(("setParam", (name, own.parameter, own.as_dict())))
+        return calls
+
+    def _service_calls(self, client: RpcClient, look: Look, wanted: dict[str, str]) -> list[Call]:
+        name, uri = self._node.name, self._node.uri
+        has = {s for s, node in look.services.items() if node == name}
+        gone = [s for s in has if s not in wanted]
+        addresses = client.calls([("lookupService", (name, s)) for s in gone]) if gone else []
+        return [
+            *(("unregisterService", (name, s, a)) for s, a in zip(gone, addresses, strict=True) if a),
+            *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if s not in has),
+        ]
+
+    def _check(self, calls: Sequence[Call], values: Sequence[object]) -> None:
+        for (method, params), value in zip(calls, values, strict=True):
+            what = f"{method} {params[1]}"
+            if value is None and what not in self._refused:
+                _log.warning("the master refuses %s", what)
+                self._refused.add(what)
+            elif value is not None:
+                self._refused.discard(what)
+
+
+def _batches(calls: Sequence[Call]) -> Iterator[Sequence[Call]]:
+    for at in range(0, len(calls), _BATCH):
+        yield calls[at : at + _BATCH]

@@ -1,0 +1,70 @@
+"""Topic names that ROS 1 allows and ROS 2 forbids, made legal on the hub, and back.
+
+ROS 2's rule for a full topic name (rmw's validate_full_topic_name): absolute, letters, digits, ``_`` and ``/`` only, no
+``//``, no trailing ``/``, no part that starts with a digit, at most 247 characters. ROS 1's masters enforce nothing,
+and its own rule (rosgraph.names) lets parts start with digits.
+
+The rule, part by part of a name:
+
+1. empty parts go (``//`` becomes ``/``, a trailing ``/`` goes), and a name without a leading ``/`` gets one;
+2. every character other than ``[A-Za-z0-9_]`` becomes ``_``;
+3. a part that starts with a digit gets an ``n`` before it: ``/camera/1/image`` becomes ``/camera/n1/image``;
+4. a name that is still longer than 247 characters is cut, and ends in ``_`` and eight hex digits of its SHA-256.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping
+
+MAX_LENGTH = 247
+"""rmw's RMW_TOPIC_MAX_NAME_LENGTH."""
+
+MAX_NAMES = 20000
+"""Names that a `NameTable` keeps before it forgets those that left the graph."""
+
+_LEGAL = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
+
+
+def hub_name(side_name: str) -> str:
+    """The hub's spelling of a ROS 1 topic name, by the module's rule."""
+    if _LEGAL.fullmatch(side_name) and len(side_name) <= MAX_LENGTH:
+        return side_name
+    parts = [_FORBIDDEN.sub("_", part) for part in side_name.split("/") if part]
+    name = "".join(f"/n{part}" if part[0].isdigit() else f"/{part}" for part in parts) or "/_"
+    if len(name) > MAX_LENGTH:
+        digest = hashlib.sha256(side_name.encode(errors="surrogatepass")).hexdigest()[:8]
+        name = f"{name[: MAX_LENGTH - 9].rstrip('/')}_{digest}"
+    return name
+
+
+class NameTable:
+    """The way back: which ROS 1 name a hub name stands for, from the names that the ROS 1 graph has had.
+
+    Where a name of the graph is spelled as the hub name itself, it wins; else the first in alphabetical order. Names
+    are kept when they leave the graph, so that a topic keeps its name when a subscriber of it is restarted.
+    """
+
+    def __init__(self) -> None:
+        self._names: set[str] = set()
+        self._back: Mapping[str, str] = {}
+
+    def learn(self, side_names: Iterable[str]) -> None:
+        """Take up the names that are on the graph now."""
+        names = set(side_names)
+        if names <= self._names:
+            return
+        kept = names | self._names
+        self._names = kept if len(kept) <= MAX_NAMES else names
+        back: dict[str, str] = {}
+        for name in sorted(self._names):
+            legal = hub_name(name)
+            if legal != name and legal not in self._names:
+                back.setdefault(legal, name)
+        self._back = back
+
+    def side_name(self, hub_name: str) -> str:
+        """The ROS 1 spelling of a hub topic name; the same where no ROS 1 name was changed into it."""
+        return self._back.get(hub_name, hub_name)

@@ -1,0 +1,199 @@
+"""Our node on the ROS 1 graph: rospy's slave API, TCPROS server and topic manager, without ``rospy.init_node``.
+
+``init_node`` blocks until a master answers, registers while it holds the topic manager's lock, tries for ever without a
+time limit, never registers again with a restarted master, and publishes the process's log on ``/rosout``. Here rospy's
+parts are put together without that: registrations are only noted, and `bridge.adapters.ros1.master` keeps the master's
+state equal to them.
+
+rospy is one per process, so is this node.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rospy
+import rospy.impl.init
+import rospy.impl.registration as registration
+import rospy.impl.tcpros
+import rospy.impl.tcpros_base
+from rosgraph.xmlrpc import XmlRpcNode
+from rospy.impl.masterslave import ROSHandler
+
+from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.handshake import encode, read_header
+
+_log = logging.getLogger(__name__)
+
+_GREETING_SECONDS = 5.0
+_MAX_GREETINGS = 64
+_BACKLOG = 128
+
+Changed = Callable[[], None]
+
+
+class _Handler(ROSHandler):  # type: ignore[misc]  # rospy has no types
+    """rospy's slave API, telling us when the master asks us to go."""
+
+    def __init__(self, name: str, master_uri: str, notes: _Notes, asked_to_stop: Callable[[str], None]) -> None:
+        super().__init__(name, master_uri)
+        self.reg_man = notes
+        self._asked_to_stop = asked_to_stop
+
+    def shutdown(self, caller_id: str, msg: str = "") -> tuple[int, str, int]:
+        """The master (another node took our name) or a person (rosnode kill) asks us to stop."""
+        self._asked_to_stop(
+            f"{caller_id} asked this node to stop: {msg}" if msg else f"{caller_id} asked this node to stop"
+        )
+        return 1, "shutdown", 0
+
+
+class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy has no types
+    """Stands where rospy's registration manager was: every change only wakes whoever talks to the master."""
+
+    def __init__(self, changed: Changed) -> None:
+        self._changed = changed
+
+    def start(self, _uri: str, _master_uri: str) -> None:
+        """Called by rospy once its XML-RPC server listens."""
+        registration.get_registration_listeners().add_listener(self)
+
+    def is_registered(self) -> bool:
+        """Rospy's question whether the node may go on."""
+        return True
+
+    def publisher_update(self, _topic: str, _uris: list[str]) -> None:
+        """The master tells that the publishers of a topic that we subscribe to changed."""
+        self._changed()
+
+    def reg_added(self, _name: str, _type_or_uri: str, _kind: str) -> None:
+        """A topic or service was added here."""
+        self._changed()
+
+    def reg_removed(self, _name: str, _type_or_uri: str, _kind: str) -> None:
+        """A topic or service was removed here."""
+        self._changed()
+
+
+class Node:
+    """Our node: its name, its address, and what it wants to be registered."""
+
+    def __init__(self, name: str, master_uri: str, changed: Changed, asked_to_stop: Callable[[str], None]) -> None:
+        if rospy.core.is_initialized():
+            msg = "rospy is already in use in this process: one ROS 1 edge per process"
+            raise RuntimeError(msg)
+        # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
+        logging.setLoggerClass(logging.Logger)
+        for logger in ("rospy", "rosout", "xmlrpc"):
+            logging.getLogger(logger).setLevel(logging.WARNING)
+        self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
+        self.rename(name)
+        self._start_server()
+        self._server = XmlRpcNode(0, _Handler(name, master_uri, _Notes(changed), asked_to_stop))
+        self._server.start()
+        self.uri = self._await_uri()
+        rospy.core.set_node_uri(self.uri)
+        rospy.rostime.set_rostime_initialized(True)
+        rospy.core.set_initialized(True)
+
+    @property
+    def name(self) -> str:
+        """Our node's name."""
+        return str(rospy.names.get_caller_id())
+
+    @staticmethod
+    def rename(name: str) -> None:
+        """Take another name, while nothing is registered under the old one."""
+        rospy.names._set_caller_id(name)
+
+    @staticmethod
+    def publications() -> dict[str, str]:
+        """Topics that we publish, with their types."""
+        topics = registration.get_topic_manager()
+        with topics.lock:
+            return dict(topics.get_publications())
+
+    @staticmethod
+    def subscriptions() -> dict[str, str]:
+        """Topics that we subscribe to, with their types."""
+        topics = registration.get_topic_manager()
+        with topics.lock:
+            return dict(topics.get_subscriptions())
+
+    @staticmethod
+    def services() -> dict[str, str]:
+        """Services that we serve, with their addresses."""
+        return dict(registration.get_service_manager().get_services())
+
+    @staticmethod
+    def drop_dead_connections() -> None:
+        """Let rospy close the connections whose peers are gone."""
+        registration.get_topic_manager().check_all()
+
+    def stop(self) -> None:
+        """Close everything; the master is told by whoever registered."""
+        registration.get_registration_listeners().clear()
+        registration.get_topic_manager().close_all()
+        rospy.core.signal_shutdown("midspan stops")
+        self._server.shutdown("midspan stops")
+
+    def _await_uri(self) -> str:
+        end = time.monotonic() + 5.0
+        while not self._server.uri:
+            if time.monotonic() > end:
+                msg = "the node's XML-RPC server did not start: is ROS_IP or ROS_HOSTNAME an address of this machine?"
+                raise RuntimeError(msg)
+            time.sleep(0.001)
+        return str(self._server.uri)
+
+    # -- inbound connections -------------------------------------------------------------------------------------------
+
+    def _start_server(self) -> None:
+        rospy.impl.tcpros.init_tcpros()
+        self._tcpros = rospy.impl.tcpros_base._tcpros_server
+        # rospy greets one peer after the other, without a limit: one that says nothing would keep all others out.
+        self._tcpros._tcp_server_callback = self._greet
+        rospy.impl.tcpros_base.start_tcpros_server()
+        self._tcpros.tcp_ros_server.server_sock.listen(_BACKLOG)
+
+    def _greet(self, sock: socket.socket, address: Any) -> None:
+        if not self._greetings.acquire(blocking=False):
+            sock.close()
+            return
+        thread = threading.Thread(
+            target=self._greeting, args=(sock, address), name="midspan-ros1-greeting", daemon=True
+        )
+        thread.start()
+
+    def _greeting(self, plain: socket.socket, address: Any) -> None:
+        sock = DeadlineSocket(fileno=plain.detach())
+        try:
+            sock.deadline = time.monotonic() + _GREETING_SECONDS
+            error = self._admit(sock, address, read_header(sock))
+            if error:
+                sock.sendall(encode({"error": error}))
+                sock.close()
+        except (OSError, Ros1Error) as err:
+            _log.debug("a peer at %s was turned away: %s", address, err)
+            sock.close()
+        except Exception:
+            _log.exception("a peer at %s could not be admitted", address)
+            sock.close()
+        finally:
+            self._greetings.release()
+
+    def _admit(self, sock: DeadlineSocket, address: Any, header: dict[str, str]) -> str:
+        """Hand the peer to rospy; "" or why it is not admitted."""
+        if "topic" in header:
+            return str(self._tcpros.topic_connection_handler(sock, address, header) or "")
+        if "service" in header:
+            sock.deadline = math.inf
+            return str(self._tcpros.service_connection_handler(sock, address, header) or "")
+        return "neither a topic nor a service is named"

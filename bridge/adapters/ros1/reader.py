@@ -1,0 +1,132 @@
+"""One connection to a publisher: whole messages off the wire, as the bytes they are."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import socket
+import struct
+import threading
+from collections.abc import Callable
+
+from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.errors import ProtocolError
+
+_log = logging.getLogger(__name__)
+
+MAX_MESSAGE = 512 * 2**20
+"""Bytes of the longest message that is read; a publisher that claims a longer one is dropped."""
+
+_LENGTH = struct.Struct("<I")
+_CHUNK = 64 * 1024
+_LARGE = 32 * 1024
+_KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
+"""As rospy's and roscpp's subscribers set it: a peer whose machine is gone is noticed after two and a half minutes."""
+
+_numbers = itertools.count(1)
+
+
+class Reader:
+    """Reads one publisher's messages on a thread of its own until the connection ends.
+
+    The attributes without docstring are what rospy's bus statistics (rosnode info) ask of a connection.
+    """
+
+    direction = "i"
+    transport_type = "TCPROS"
+
+    def __init__(
+        self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None], ended: Callable[[str], None]
+    ) -> None:
+        self.id = f"midspan-{next(_numbers)}"
+        self.endpoint_id = uri
+        self.stat_bytes = 0
+        self.stat_num_msg = 0
+        self.done = False
+        self._peer = sock.getpeername()
+        self._local = sock.getsockname()
+        self._sock = socket.socket(fileno=sock.detach())
+        self._sock.settimeout(None)
+        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEPALIVE:
+            if hasattr(socket, name):
+                self._sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        self._deliver, self._ended = deliver, ended
+        self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop reading; nothing is delivered from now on."""
+        self.done = True
+        with contextlib.suppress(OSError):
+            self._sock.shutdown(socket.SHUT_RDWR)
+        if not self._thread.is_alive():
+            self._sock.close()
+
+    def fileno(self) -> int:
+        """The socket's descriptor."""
+        return self._sock.fileno()
+
+    def get_transport_info(self) -> str:
+        """In the words that rosnode's parser expects."""
+        return (
+            f"TCPROS connection on port {self._local[1]} to [{self._peer[0]}:{self._peer[1]} on socket {self.fileno()}]"
+        )
+
+    def _run(self) -> None:
+        trouble = "the publisher closed the connection"
+        try:
+            self._read()
+        except (OSError, ProtocolError) as err:
+            trouble = str(err)
+        except Exception as err:
+            trouble = f"{type(err).__name__}: {err}"
+            _log.exception("reading %s failed", self._thread.name)
+        self._sock.close()
+        if not self.done:
+            self.done = True
+            self._ended(trouble)
+
+    def _read(self) -> None:
+        """Small messages come many to a chunk; after a large one, the next is read in one piece, without a copy."""
+        buffer, at, size = b"", 0, 0
+        while not self.done:
+            left = len(buffer) - at
+            if left < 4:
+                more = self._sock.recv(4 - left if size > _LARGE else _CHUNK)
+                if not more:
+                    return
+                buffer, at = buffer[at:] + more, 0
+                continue
+            (size,) = _LENGTH.unpack_from(buffer, at)
+            if size > MAX_MESSAGE:
+                msg = f"the publisher announces a message of {size} bytes, at most {MAX_MESSAGE} are read"
+                raise ProtocolError(msg)
+            at += 4
+            if left - 4 >= size:
+                payload = buffer[at : at + size]
+                at += size
+            else:
+                rest = self._exactly(size - left + 4)
+                if rest is None:
+                    return
+                payload = buffer[at:] + rest if left > 4 else rest
+                buffer, at = b"", 0
+            self.stat_bytes += size + 4
+            self.stat_num_msg += 1
+            if not self.done:
+                self._deliver(payload)
+
+    def _exactly(self, count: int) -> bytes | None:
+        data = self._sock.recv(count, socket.MSG_WAITALL)
+        if len(data) == count:
+            return data
+        parts = [data]
+        while data and (count := count - len(data)):
+            data = self._sock.recv(count, socket.MSG_WAITALL)
+            parts.append(data)
+        return b"".join(parts) if data else None

@@ -1,0 +1,155 @@
+"""XML-RPC to a ROS 1 master or node: every call has a deadline, every answer a size limit.
+
+ROS 1's API answers each call with ``[code, status message, value]``; code 1 is success
+(https://wiki.ros.org/ROS/Master_API, https://wiki.ros.org/ROS/Slave_API).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import time
+import xmlrpc.client
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import urlsplit
+from xml.parsers.expat import ExpatError
+
+from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.errors import ProtocolError, RefusedError, UnreachableError
+
+MAX_ANSWER = 64 * 2**20
+"""Bytes of the longest answer that is read: a master's state with 100,000 registrations is about 20 MB."""
+
+Call = tuple[str, tuple[Any, ...]]
+
+
+class _Connection(http.client.HTTPConnection):
+    """HTTP over a socket with a deadline."""
+
+    deadline = 0.0
+
+    def connect(self) -> None:
+        self.sock = DeadlineSocket.connected(self.host, self.port, self.deadline)
+
+
+class RpcClient:
+    """A client of one XML-RPC server that keeps its connection. One thread at a time."""
+
+    def __init__(self, uri: str, timeout: float) -> None:
+        parts = urlsplit(uri)
+        try:
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host, port = None, None
+        if not host or parts.scheme != "http":
+            msg = f"not a ROS 1 address: {uri!r} (it should look like http://host:11311/)"
+            raise ProtocolError(msg)
+        self.uri = uri
+        self._path = parts.path or "/"
+        self._timeout = timeout
+        self._http = _Connection(host, port or 80)
+        self._last: tuple[bytes, bytes, Any] | None = None
+
+    def call(self, method: str, *params: Any) -> Any:
+        """Call one method; the value of its answer. Raises `RefusedError` where the code is not 1."""
+        code, message, value = _triple(self._post(xmlrpc.client.dumps(params, method, allow_none=False)))
+        if code != 1:
+            raise RefusedError(message)
+        return value
+
+    def calls(self, calls: Sequence[Call]) -> list[Any]:
+        """Make many calls in one exchange; each one's value, None where it did not succeed.
+
+        Where request and answer are the same as the last time the very same list is returned, without being parsed.
+        """
+        batch = [{"methodName": name, "params": list(params)} for name, params in calls]
+        answers = self._post(xmlrpc.client.dumps((batch,), "system.multicall"))
+        if isinstance(answers, _Answers):
+            return answers
+        if not isinstance(answers, list) or len(answers) != len(calls):
+            msg = f"{self.uri} answers system.multicall with something else than {len(calls)} answers"
+            raise ProtocolError(msg)
+        values = _Answers()
+        for answer in answers:
+            try:
+                code, _, value = _triple(answer[0])
+            except (KeyError, ProtocolError):
+                code, value = 0, None
+            values.append(value if code == 1 else None)
+        if self._last is not None:
+            self._last = (self._last[0], self._last[1], values)
+        return values
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._http.close()
+
+    def _post(self, request: str) -> Any:
+        body = request.encode()
+        deadline = time.monotonic() + self._timeout
+        kept = self._http.sock is not None
+        try:
+            try:
+                answer = self._exchange(body, deadline)
+            except (http.client.HTTPException, ConnectionError):
+                # A kept connection that the server has closed meanwhile.
+                if not kept:
+                    raise
+                self._http.close()
+                answer = self._exchange(body, deadline)
+        except (OSError, http.client.HTTPException) as err:
+            self._http.close()
+            msg = f"{self.uri} does not answer: {str(err) or type(err).__name__}"
+            if isinstance(err, http.client.HTTPException):
+                raise ProtocolError(msg) from None
+            raise UnreachableError(msg) from None
+        if self._last is not None and self._last[0] == body and self._last[1] == answer:
+            return self._last[2]
+        value = self._parse(answer)
+        self._last = (body, answer, value)
+        return value
+
+    def _exchange(self, body: bytes, deadline: float) -> bytes:
+        self._http.deadline = deadline
+        if isinstance(self._http.sock, DeadlineSocket):
+            self._http.sock.deadline = deadline
+        self._http.request("POST", self._path, body, {"Content-Type": "text/xml"})
+        response = self._http.getresponse()
+        answer = response.read(MAX_ANSWER + 1)
+        if len(answer) > MAX_ANSWER:
+            msg = f"answer longer than {MAX_ANSWER} bytes"
+            raise http.client.HTTPException(msg)
+        if response.status != http.client.OK:
+            msg = f"HTTP status {response.status}"
+            raise http.client.HTTPException(msg)
+        response.read()
+        return answer
+
+    def _parse(self, answer: bytes) -> Any:
+        try:
+            values, _ = xmlrpc.client.loads(answer)
+        except xmlrpc.client.Fault as err:
+            raise RefusedError(err.faultString) from None
+        except (ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError) as err:
+            msg = f"{self.uri} answers something else than XML-RPC: {err}"
+            raise ProtocolError(msg) from None
+        return values[0] if values else None
+
+
+class _Answers(list[Any]):
+    """Answers of `RpcClient.calls`, already taken apart."""
+
+
+def ask(uri: str, timeout: float, method: str, *params: Any) -> Any:
+    """Call one method of a server on a connection of its own; see `RpcClient.call`."""
+    client = RpcClient(uri, timeout)
+    with contextlib.closing(client):
+        return client.call(method, *params)
+
+
+def _triple(answer: Any) -> tuple[int, str, Any]:
+    if isinstance(answer, list) and len(answer) == 3 and isinstance(answer[0], int):
+        return answer[0], str(answer[1]), answer[2]
+    msg = f"not a ROS 1 answer: {str(answer)[:200]}"
+    raise ProtocolError(msg)

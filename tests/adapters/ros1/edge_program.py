@@ -1,0 +1,179 @@
+"""A ROS 1 edge in the worker's own environment, driven by JSON lines as the peers of `tests.support.peer` are.
+
+Usage: edge_program.py CONFIG STATE. Payloads are base64.
+"""
+# ruff: noqa: A002  # parameters are the commands' own words
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import os
+import sys
+import threading
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import roslib.message
+
+from bridge.adapters.base import SideType
+from bridge.adapters.ros1.edge import Ros1Edge
+from bridge.config.model import Config
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Durability, Qos
+from bridge.messages.registry import Registry
+
+
+class Listener:
+    """Counts what the edge tells."""
+
+    def __init__(self) -> None:
+        self.changes = 0
+        self.failures: list[str] = []
+
+    def graph_changed(self) -> None:
+        self.changes += 1
+
+    def edge_failed(self, reason: str) -> None:
+        self.failures.append(reason)
+
+
+class Inbox:
+    """Keeps what a subscription delivers."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[str, str, int]] = []
+        self.ready = threading.Condition()
+        self.handle: Any = None
+
+    def deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
+        assert time_ns is None
+        with self.ready:
+            self.messages.append((base64.b64encode(payload).decode(), source, time.time_ns()))
+            self.ready.notify_all()
+
+    def wait(self, count: int, seconds: float) -> list[tuple[str, str, int]]:
+        with self.ready:
+            self.ready.wait_for(lambda: len(self.messages) >= count, seconds)
+            return list(self.messages)
+
+
+class Program:
+    """Carries out the commands."""
+
+    def __init__(self, config: Config, state: Path) -> None:
+        self.listener = Listener()
+        self.edge = Ros1Edge(config, Registry(), state)
+        self.handles: dict[int, Any] = defaultdict()
+
+    def add(self, handle: Any) -> dict[str, Any]:
+        self.handles[len(self.handles) + 1] = handle
+        return {"id": len(self.handles)}
+
+    @staticmethod
+    def side_type(type: str, md5: str = "", definition: str = "") -> SideType:
+        if md5:
+            return SideType(type, md5, definition)
+        cls = roslib.message.get_message_class(type)
+        return SideType(type, cls._md5sum, cls._full_text)
+
+    def do_start(self) -> dict[str, Any]:
+        begin = time.monotonic()
+        self.edge.start(self.listener)
+        return {"seconds": time.monotonic() - begin}
+
+    def do_network(self) -> dict[str, Any]:
+        network = self.edge.network()
+        own = network is not None and self.edge.is_own_network(Origin("ros1", network, "other"))
+        return {"network": network, "own": own, "ros2": self.edge.is_own_network(Origin("ros2", network or "", ""))}
+
+    def do_endpoints(self) -> dict[str, Any]:
+        return {
+            "endpoints": [
+                {
+                    "id": e.id, "kind": e.kind.value, "topic": e.topic, "type": e.type, "latched": e.qos.latched,
+                    "made_by": e.made_by.value, "node": e.node, "type_id": e.type_id, "definition": e.definition,
+                }
+                for e in self.edge.endpoints()
+            ]
+        }  # fmt: skip
+
+    def do_subscribe(self, topic: str, **type: str) -> dict[str, Any]:
+        inbox = Inbox()
+        inbox.handle = self.edge.subscribe(topic, self.side_type(**type), Qos(), inbox.deliver)
+        return self.add(inbox)
+
+    def do_wait(self, id: int, count: int, seconds: float) -> dict[str, Any]:
+        return {"messages": self.handles[id].wait(count, seconds)}
+
+    def do_advertise(self, topic: str, latched: bool = False, depth: int = 10, **type: str) -> dict[str, Any]:
+        qos = Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=depth)
+        return self.add(self.edge.advertise(topic, self.side_type(**type), qos))
+
+    def do_send(self, id: int, payload: str, source: str = "a", repeat: int = 1) -> dict[str, Any]:
+        data = base64.b64decode(payload)
+        begin = time.monotonic()
+        for _ in range(repeat):
+            self.handles[id].send(data, source)
+        return {"seconds": time.monotonic() - begin, "dropped": self.handles[id].dropped}
+
+    def do_forget(self, id: int, source: str) -> dict[str, Any]:
+        self.handles[id].forget(source)
+        return {}
+
+    def do_drop(self, id: int) -> dict[str, Any]:
+        handle = self.handles[id]
+        getattr(handle, "handle", handle).close()
+        return {}
+
+    def do_convert(self, type: str) -> dict[str, Any]:
+        endpoint = next(e for e in self.edge.endpoints() if e.type == type)
+        conversion = self.edge.to_hub(endpoint)
+        back = self.edge.from_hub(conversion.target.name, conversion.target.type_id)
+        return {"hub": conversion.target.name, "side": back.target.name, "md5": back.target.type_id}
+
+    def do_names(self, hub: str, side: str) -> dict[str, Any]:
+        return {"side": self.edge.side_name(hub), "hub": self.edge.hub_name(side)}
+
+    def do_status(self) -> dict[str, Any]:
+        return {
+            "others": [p.as_dict() for p in self.edge.others()],
+            "warnings": self.edge.warnings(),
+            "failures": self.listener.failures,
+            "changes": self.listener.changes,
+            "threads": threading.active_count(),
+            "descriptors": len(list(Path("/proc/self/fd").iterdir())),
+        }
+
+    def do_stop(self) -> dict[str, Any]:
+        begin = time.monotonic()
+        self.edge.stop()
+        return {"seconds": time.monotonic() - begin}
+
+    def do_exit(self) -> dict[str, Any]:
+        return {}
+
+
+def main() -> None:
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    logging.basicConfig(level=logging.DEBUG if os.environ.get("DEBUG") else logging.INFO)
+    program = Program(Config.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
+    for line in sys.stdin:
+        command = json.loads(line)
+        name = command.pop("do")
+        try:
+            answer = {"ok": True, **getattr(program, "do_" + name)(**command)}
+        except Exception as err:
+            logging.getLogger("program").exception("%s", name)
+            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+        answers.write(json.dumps(answer) + "\n")
+        if name == "exit":
+            break
+    program.edge.stop()
+
+
+main()

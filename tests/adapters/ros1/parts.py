@@ -1,0 +1,84 @@
+"""What the tests of the ROS 1 edge share."""
+
+from __future__ import annotations
+
+import base64
+import os
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+from bridge.adapters.ros1.environment import worker_environment
+from bridge.config.model import Config, Ros1Section
+from tests.support.peer import Peer
+from tests.support.ros1 import RosMaster
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = Path(__file__).with_name("edge_program.py")
+
+
+def string(text: str) -> str:
+    """A std_msgs/String in ROS 1's bytes, as the edge's program takes it."""
+    data = text.encode()
+    return base64.b64encode(struct.pack("<I", len(data)) + data).decode()
+
+
+def text(payload: str) -> str:
+    """The text of a std_msgs/String in ROS 1's bytes."""
+    data = base64.b64decode(payload)
+    (length,) = struct.unpack_from("<I", data)
+    assert len(data) == length + 4
+    return data[4:].decode()
+
+
+class EdgeUnderTest(Peer):
+    """A ROS 1 edge in a process of its own, in the worker's environment."""
+
+    def __init__(self, master: str, state: Path, daemon: str = "robot", **ros1: Any) -> None:
+        config = Config(name=daemon, state=state, ros1=Ros1Section(master=master, **{"poll": 0.1, **ros1}))
+        environ = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
+        environ["XDG_CACHE_HOME"] = str(state / "cache")
+        env = worker_environment(config, environ)
+        env["PYTHONPATH"] += f"{os.pathsep}{ROOT}"
+        super().__init__(PROGRAM, Path(sys.executable), env, config.model_dump_json(by_alias=True), str(state))
+
+    def joined(self, network: str = "") -> str:
+        """Wait until a master is joined, that with a given run id where one is given; the network's identity."""
+
+        def there() -> Any:
+            found = self.ask("network")["network"]
+            return found if found and network in ("", found) else None
+
+        return str(until(there, "the edge joins the master"))
+
+    def endpoints(self, **like: Any) -> list[dict[str, Any]]:
+        """The endpoints that have these values."""
+        found: list[dict[str, Any]] = self.ask("endpoints")["endpoints"]
+        return [e for e in found if all(e[k] == v for k, v in like.items())]
+
+    def endpoint(self, **like: Any) -> dict[str, Any]:
+        """The one endpoint that comes to have these values."""
+        (found,) = until(lambda: self.endpoints(**like), f"an endpoint {like}")
+        return found
+
+    def received(self, subscription: int, count: int, seconds: float = 10.0) -> list[tuple[str, str]]:
+        """Payloads and sources so far, once ``count`` have come or the time is over."""
+        return [(p, s) for p, s, _ in self.ask("wait", id=subscription, count=count, seconds=seconds)["messages"]]
+
+    def open(self, topic: str, type_: str, **more: str) -> int:
+        """Subscribe; the subscription's id."""
+        return int(self.ask("subscribe", topic=topic, type=type_, **more)["id"])
+
+    def send(self, publisher: int, text_: str, source: str = "a") -> None:
+        """Publish a std_msgs/String."""
+        self.ask("send", id=publisher, payload=string(text_), source=source)
+
+
+def edge_on(master: RosMaster, state: Path, daemon: str = "robot", **ros1: Any) -> EdgeUnderTest:
+    """A started edge that has joined a master."""
+    edge = EdgeUnderTest(master.uri, state, daemon, **ros1)
+    edge.ask("start")
+    edge.joined()
+    return edge

@@ -1,0 +1,108 @@
+"""A ROS 1 network of a test's own: a real roscore on a free port, and the environment of real ROS 1 programs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.wait import until
+
+ROS1_PEER = Path(__file__).with_name("ros1_peer.py")
+"""The peer program of `tests.support.peer` for ROS 1; runs on the system's Python alone."""
+
+ROS1_PYTHON = Path("/usr/bin/python3")
+
+needs_ros1 = pytest.mark.skipif(
+    not (shutil.which("roscore", path="/usr/bin") and Path("/usr/lib/python3/dist-packages/rospy").is_dir()),
+    reason="no ROS 1 on this machine (Debian, Ubuntu: apt install python3-rospy ros-core)",
+)
+
+
+def ros1_environment(master: str = "", environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Environment for real ROS 1 programs: the system's own Python packages and libraries, loopback only."""
+    unset = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "ROS_HOSTNAME", "AMENT_PREFIX_PATH")
+    env = {k: v for k, v in environ.items() if k not in unset and not k.startswith("ROS_")}
+    env["ROS_IP"] = "127.0.0.1"
+    env["PATH"] = f"/usr/bin:/bin:{env.get('PATH', '')}"
+    if master:
+        env["ROS_MASTER_URI"] = master
+    return env
+
+
+class RosMaster:
+    """A roscore (master, parameters, rosout) on a port of its own, which it keeps when it is started anew."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+        self.uri = f"http://127.0.0.1:{self.port}/"
+        self._folder = tempfile.mkdtemp(prefix="midspan-test-ros1-")
+        self.env = {
+            **ros1_environment(self.uri),
+            "ROS_HOME": self._folder,
+            "ROS_LOG_DIR": f"{self._folder}/log",
+        }
+        self._process: Process | None = None
+
+    def start(self) -> None:
+        """Start roscore and wait until it answers."""
+        self._process = Process([ROS1_PYTHON, "/usr/bin/roscore", "-p", str(self.port)], self.env)
+        until(lambda: self._ready(), "roscore answers", 30.0, 0.05)
+
+    def stop(self) -> None:
+        """Stop roscore; its nodes stay."""
+        if self._process is not None:
+            self._process.stop()
+            self._process = None
+
+    def close(self) -> None:
+        """Stop roscore and remove its files."""
+        self.stop()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def call(self, method: str, *params: Any) -> Any:
+        """Call the master's API; the value of its answer, None where it did not succeed."""
+        with ServerProxy(self.uri) as proxy:
+            code, _, value = getattr(proxy, method)("/test", *params)  # type: ignore[misc]
+        return value if code == 1 else None
+
+    def state(self) -> dict[str, dict[str, list[str]]]:
+        """The master's state: publishers, subscribers and services, each by name with its nodes."""
+        kinds = self.call("getSystemState")
+        names = ("publishers", "subscribers", "services")
+        return {n: {name: sorted(nodes) for name, nodes in kind} for n, kind in zip(names, kinds, strict=True)}
+
+    def nodes(self) -> set[str]:
+        """All nodes that the master knows."""
+        return {n for kind in self.state().values() for nodes in kind.values() for n in nodes}
+
+    def parameters(self) -> set[str]:
+        """Names of all parameters."""
+        return set(self.call("getParamNames"))
+
+    def peer(self, name: str = "peer") -> Peer:
+        """A real rospy program on this network; ``name`` is its node's."""
+        return Peer(ROS1_PEER, ROS1_PYTHON, self.env, name)
+
+    def _ready(self) -> bool:
+        try:
+            return bool(self.call("getParam", "/run_id")) and "/rosout" in self.nodes()
+        except OSError:
+            return False
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,177 @@
+"""The peer program of `tests.support.peer` for ROS 1: a real rospy node on the system's Python with dist-packages only.
+
+Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
+``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
+(rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names.
+
+Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
+Usage: ros1_peer.py NODE
+"""
+# ruff: noqa: A002, ANN003, ANN204  # parameters are the commands' own words; it runs without Midspan
+
+import base64
+import json
+import os
+import sys
+import threading
+
+import genpy
+import genpy.dynamic
+import genpy.message
+import rosgraph
+import roslib.message
+import rospy
+
+
+def to_plain(value):
+    """A message or field as JSON can carry it."""
+    if isinstance(value, genpy.Message):
+        return {name: to_plain(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, (genpy.Time, genpy.Duration)):
+        return {"secs": value.secs, "nsecs": value.nsecs}
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
+        return [to_plain(v) for v in value]
+    return value
+
+
+def fill(message, fields):
+    """Set a message's fields from a dict; fields that are not named keep their defaults."""
+    for name, value in fields.items():
+        if name not in message.__slots__:
+            raise ValueError(f"{message._type} has no field {name}; it has {', '.join(message.__slots__)}")
+        slot = message._slot_types[message.__slots__.index(name)]
+        setattr(message, name, to_field(slot, value, getattr(message, name)))
+    return message
+
+
+def to_field(slot, value, default):
+    """A field's value from JSON."""
+    base, bracket, _ = slot.partition("[")
+    if bracket:
+        if base in ("uint8", "char"):
+            return bytes(value)
+        return [to_field(base, v, None) for v in value]
+    if base == "time":
+        return genpy.Time(value["secs"], value["nsecs"])
+    if base == "duration":
+        return genpy.Duration(value["secs"], value["nsecs"])
+    if isinstance(value, dict):
+        return fill(default if default is not None else message_class(full(base))(), value)
+    return value
+
+
+def full(name):
+    """A type's full name."""
+    return "std_msgs/Header" if name == "Header" else name
+
+
+DEFINED = {}
+
+
+def message_class(name):
+    """A type's class: a defined one, else an installed one."""
+    cls = DEFINED.get(name) or roslib.message.get_message_class(name)
+    if cls is None:
+        raise ValueError(f"no type {name}: install its package, or define it")
+    return cls
+
+
+class Subscriber:
+    """Keeps what came in."""
+
+    def __init__(self, topic, cls, queue):
+        self.messages, self.headers, self.ready = [], {}, threading.Condition()
+        self.endpoint = rospy.Subscriber(topic, cls, self.on_message, queue_size=queue, tcp_nodelay=True)
+
+    def on_message(self, message):
+        with self.ready:
+            self.messages.append(message)
+            header = dict(message._connection_header)
+            self.headers[header.get("callerid", "")] = header
+            self.ready.notify_all()
+
+    def wait(self, count, seconds):
+        with self.ready:
+            self.ready.wait_for(lambda: len(self.messages) >= count, seconds)
+            return [to_plain(m) for m in self.messages]
+
+
+class Peer:
+    """Carries out the commands."""
+
+    def __init__(self):
+        self.endpoints = {}
+        self.next_id = 0
+
+    def add(self, endpoint):
+        self.next_id += 1
+        self.endpoints[self.next_id] = endpoint
+        return {"id": self.next_id}
+
+    def do_define(self, type, definition, **_):
+        DEFINED.update(genpy.dynamic.generate_dynamic(type, definition))
+        return {"md5": DEFINED[type]._md5sum}
+
+    def do_advertise(self, topic, type, latched=False, queue=100, **_):
+        return self.add(rospy.Publisher(topic, message_class(type), latch=latched, queue_size=queue, tcp_nodelay=True))
+
+    def do_publish(self, id, message, **_):
+        publisher = self.endpoints[id]
+        publisher.publish(fill(publisher.data_class(), message))
+        return {}
+
+    def do_subscribe(self, topic, type, queue=None, **_):
+        cls = rospy.AnyMsg if type == "*" else message_class(type)
+        return self.add(Subscriber(topic, cls, queue))
+
+    def do_wait(self, id, count, seconds, **_):
+        return {"messages": self.endpoints[id].wait(count, seconds)}
+
+    def do_header(self, id, **_):
+        return {"headers": self.endpoints[id].headers}
+
+    def do_drop(self, id, **_):
+        endpoint = self.endpoints.pop(id)
+        getattr(endpoint, "endpoint", endpoint).unregister()
+        return {}
+
+    def do_connections(self, id, **_):
+        endpoint = self.endpoints[id]
+        return {"count": getattr(endpoint, "endpoint", endpoint).get_num_connections()}
+
+    def do_graph(self, **_):
+        master = rosgraph.Master(rospy.get_name())
+        publishers, subscribers, _ = master.getSystemState()
+        types = {}
+        for topic, name in master.getTopicTypes():
+            types.setdefault(topic, []).append(name)
+        return {"topics": types, "publishers": dict(publishers), "subscriptions": dict(subscribers)}
+
+    def do_parameters(self, **_):
+        return {"names": rosgraph.Master(rospy.get_name()).getParamNames()}
+
+    def do_exit(self, **_):
+        return {}
+
+
+def main():
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what rospy prints is not an answer
+    rospy.init_node(sys.argv[1], disable_signals=True)
+    peer = Peer()
+    for line in sys.stdin:
+        command = json.loads(line)
+        name = command.pop("do")
+        try:
+            answer = {"ok": True, **getattr(peer, "do_" + name)(**command)}
+        except Exception as err:
+            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+        answers.write(json.dumps(answer, default=lambda b: base64.b64encode(b).decode()) + "\n")
+        if name == "exit":
+            break
+    rospy.signal_shutdown("end of the test")
+
+
+main()
