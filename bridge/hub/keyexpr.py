@@ -55,9 +55,15 @@ def check_hash(type_hash: str) -> str:
 
 
 def topic_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
-    """The key that a topic's samples travel on; the hash may be `ANY_HASH`."""
-    last = type_hash if type_hash == ANY_HASH else check_hash(type_hash)
-    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{last}"
+    """The key that a publisher's samples travel on."""
+    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/{check_hash(type_hash)}"
+
+
+def subscription_key(domain: int, topic: str, type_name: str, type_hash: str) -> str:
+    """The key that a subscription hears; the hash may be `ANY_HASH`."""
+    if type_hash != ANY_HASH:
+        return topic_key(domain, topic, type_name, type_hash)
+    return f"{domain}/{check_topic(topic)[1:]}/{dds_type_name(type_name)}/*"
 
 
 def mangle(name: str) -> str:

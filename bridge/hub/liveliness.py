@@ -102,7 +102,8 @@ def node_key(token: NodeToken) -> str:
 
 def endpoint_key(token: EndpointToken) -> str:
     """The key of an endpoint's token."""
-    type_hash = UNKNOWN_HASH if token.type_hash == ANY_HASH else check_hash(token.type_hash)
+    any_hash = token.type_hash == ANY_HASH and token.kind is EndpointKind.SUBSCRIPTION
+    type_hash = UNKNOWN_HASH if any_hash else check_hash(token.type_hash)
     return (
         f"{_head(token.owner, token.id, _LETTERS[token.kind])}/{mangle(check_topic(token.topic))}"
         f"/{dds_type_name(token.type_name)}/{type_hash}/{encode_qos(token.qos)}"

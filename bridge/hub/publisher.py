@@ -47,7 +47,11 @@ class _PlainSink:
 
     def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions) -> None:
         self._publisher = session.declare_publisher(
-            key, congestion_control=options.congestion, priority=options.priority, express=options.express
+            key,
+            congestion_control=options.congestion,
+            priority=options.priority,
+            express=options.express,
+            allowed_destination=zenoh.Locality.REMOTE,
         )
         self._id = self._publisher.id
 
@@ -77,6 +81,7 @@ class _LatchedSink:
             congestion_control=options.congestion,
             priority=options.priority,
             express=options.express,
+            allowed_destination=zenoh.Locality.REMOTE,
             cache=ext.CacheConfig(cache_depth(qos)),
             sample_miss_detection=ext.MissDetectionConfig(
                 heartbeat=None, sporadic_heartbeat=HEARTBEAT if reliable else None
@@ -84,7 +89,7 @@ class _LatchedSink:
             publisher_detection=True,
         )
         # the wheel's AdvancedPublisher does not tell whether it is matched
-        self._shadow = session.declare_publisher(key)
+        self._shadow = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
 
     def send(self, payload: bytes, attached: bytes, _number: int) -> None:
         self._publisher.put(payload, attachment=attached)

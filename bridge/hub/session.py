@@ -17,7 +17,7 @@ import zenoh
 from bridge.hub.control import Answer, Control, Handler
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
-from bridge.hub.keyexpr import topic_key
+from bridge.hub.keyexpr import subscription_key, topic_key
 from bridge.hub.liveliness import (
     BRIDGE_ENCLAVE,
     EndpointKind,
@@ -176,7 +176,7 @@ class Hub:
         """
         with self._lock:
             self._check_open()
-            key = topic_key(self.domain, topic, type_name, type_hash)
+            key = subscription_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             limit = self._settings.max_payload
             return HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from bridge.hub.session import HubSettings
+from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.wait import until
 
 ROUTER_PROGRAM = Path(__file__).with_name("hub_router.py")
+PEER_PROGRAM = Path(__file__).with_name("hub_peer.py")
+SDK_PROGRAM = Path(__file__).with_name("zenoh_peer.py")
 ROOT = Path(__file__).parents[2]
 
 
@@ -78,3 +82,14 @@ class HubNetwork:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop_router()
+
+    def hub_peer(self, node: str, **more: Any) -> Peer:
+        """A hub session in a process of its own, driven by `tests.support.hub_peer`'s commands."""
+        env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "PYTHONPATH": str(ROOT)}
+        settings = json.dumps(asdict(self.settings(node, **more)))
+        return Peer(PEER_PROGRAM, Path(sys.executable), env, settings)
+
+    def sdk_peer(self) -> Peer:
+        """A zenoh-ros2-sdk program on this hub, in a process of its own."""
+        env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
+        return Peer(SDK_PROGRAM, Path(sys.executable), env, str(self.port), str(self.domain))

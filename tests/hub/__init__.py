@@ -1,0 +1,1 @@
+"""Tests of the hub, over real zenoh sessions."""

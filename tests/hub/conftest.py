@@ -1,0 +1,23 @@
+"""A hub of its own for each test that asks for one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.hub import HubNetwork
+
+
+@pytest.fixture(scope="module")
+def shared_network() -> Iterator[HubNetwork]:
+    """One router for the tests of a module."""
+    with HubNetwork() as network:
+        yield network
+
+
+@pytest.fixture
+def network(shared_network: HubNetwork, request: pytest.FixtureRequest) -> HubNetwork:
+    """A domain of the test's own on the module's router."""
+    shared_network.domain = 1 + sum(request.node.name.encode()) * 7 % 200
+    return shared_network

@@ -1,0 +1,61 @@
+"""What the hub's tests share."""
+
+from __future__ import annotations
+
+from threading import Lock
+from typing import Any
+
+from bridge.hub.publisher import HubPublisher
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.session import Hub
+from bridge.hub.subscription import HubSample, HubSubscription
+from tests.support.wait import until
+
+TYPE = "std_msgs/msg/String"
+HASH = "RIHS01_" + "5e" * 32
+STREAM = Qos(depth=10)
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+BEST_EFFORT_LATCHED = Qos(Reliability.BEST_EFFORT, Durability.TRANSIENT_LOCAL, depth=1)
+
+
+class Heard:
+    """Collects what one subscription hears."""
+
+    def __init__(self, hub: Hub, topic: str, qos: Qos = STREAM, type_hash: str = HASH) -> None:
+        self.samples: list[HubSample] = []
+        self._lock = Lock()
+        self.subscription: HubSubscription = hub.subscription(topic, TYPE, type_hash, qos, self._add)
+
+    def _add(self, sample: HubSample) -> None:
+        with self._lock:
+            self.samples.append(sample)
+
+    def texts(self) -> list[str]:
+        """The payloads so far."""
+        with self._lock:
+            return [sample.data().decode() for sample in self.samples]
+
+    def wait(self, *texts: str, seconds: float = 10.0) -> None:
+        """Wait until exactly these have come, in any order."""
+        until(lambda: len(self.samples) >= len(texts), f"{texts} heard", seconds)
+        assert sorted(self.texts()) == sorted(texts)
+
+
+def talk(hub: Hub, topic: str, qos: Qos = STREAM, *texts: str, **more: Any) -> HubPublisher:
+    """A publisher that has said ``texts``."""
+    publisher = hub.publisher(topic, TYPE, HASH, qos, **more)
+    for text in texts:
+        publisher.put(text.encode())
+    return publisher
+
+
+def see_each_other(*hubs: Hub) -> None:
+    """Wait until each session sees every other's node, and links to it directly."""
+    zids = {hub.zid for hub in hubs}
+    for hub in hubs:
+        until(lambda hub=hub: zids <= {node.zid for node in hub.graph.nodes()}, "all nodes seen")
+
+
+def matched(publisher: HubPublisher) -> None:
+    """Wait until somebody subscribes."""
+    until(publisher.matched, "the publisher is matched")

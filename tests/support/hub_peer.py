@@ -1,0 +1,89 @@
+"""A Midspan hub session in a process of its own, under a test's control. See `tests.support.peer` for the form.
+
+Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` topic, latched, depth -> id; ``put`` id,
+text; ``wait`` id, count, seconds -> texts; ``drop`` id; ``origin`` side, network, daemon; ``exit``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from typing import Any
+
+from bridge.hub.origin import Origin
+from bridge.hub.publisher import HubPublisher
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub, HubSettings
+from bridge.hub.subscription import HubSample, HubSubscription
+
+TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "5e" * 32
+
+
+class HubPeer:
+    """Executes the commands."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._endpoints: list[HubPublisher | HubSubscription] = []
+        self._texts: dict[int, list[str]] = {}
+        self._came = threading.Condition()
+
+    def publisher(self, params: dict[str, Any]) -> dict[str, Any]:
+        self._endpoints.append(self._hub.publisher(params["topic"], TYPE, HASH, qos(params)))
+        return {"id": len(self._endpoints) - 1}
+
+    def subscription(self, params: dict[str, Any]) -> dict[str, Any]:
+        texts: list[str] = []
+
+        def heard(sample: HubSample) -> None:
+            with self._came:
+                texts.append(sample.data().decode())
+                self._came.notify_all()
+
+        self._endpoints.append(self._hub.subscription(params["topic"], TYPE, HASH, qos(params), heard))
+        number = len(self._endpoints) - 1
+        self._texts[number] = texts
+        return {"id": number}
+
+    def put(self, params: dict[str, Any]) -> dict[str, Any]:
+        publisher = self._endpoints[params["id"]]
+        assert isinstance(publisher, HubPublisher)
+        publisher.put(params["text"].encode())
+        return {}
+
+    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
+        texts = self._texts[params["id"]]
+        with self._came:
+            self._came.wait_for(lambda: len(texts) >= params["count"], params["seconds"])
+            return {"texts": list(texts)}
+
+    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
+        self._endpoints[params["id"]].close()
+        return {}
+
+    def origin(self, params: dict[str, Any]) -> dict[str, Any]:
+        self._hub.set_origin(Origin(params["side"], params["network"], params["daemon"]))
+        return {"zid": self._hub.zid}
+
+
+def qos(params: dict[str, Any]) -> Qos:
+    """Quality of service of a command."""
+    latched = Durability.TRANSIENT_LOCAL if params.get("latched") else Durability.VOLATILE
+    return Qos(durability=latched, depth=params.get("depth", 1))
+
+
+def main() -> None:
+    """Read commands until the input ends or ``exit``."""
+    with Hub.open(HubSettings(**json.loads(sys.argv[1]))) as hub:
+        peer = HubPeer(hub)
+        for line in sys.stdin:
+            command = json.loads(line)
+            name = command.pop("do")
+            if name == "exit":
+                break
+            print(json.dumps({"ok": True, **getattr(peer, name)(command)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""A zenoh-ros2-sdk program under a test's control: an independent participant of the hub. See `tests.support.peer`.
+
+Arguments: router port, ROS domain. Types are those of rosbags' Jazzy store; their definitions and hashes are passed
+explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> what the SDK sees of a topic.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession, get_topic_info, get_topic_names_and_types
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile, QosReliability
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def full_name(name: str) -> str:
+    """``package/Name`` -> ``package/msg/Name``."""
+    package, _, short = name.rpartition("/")
+    return name if package.endswith("/msg") else f"{package}/msg/{short}"
+
+
+def fields_of(name: str, values: dict[str, Any], store: Any) -> dict[str, Any]:
+    """Values of all of a message's fields as its class wants them; what is not given is zero."""
+    _, fields = STORE.fielddefs[name]
+    return {field: value_of(kind, values.get(field), store) for field, kind in fields}
+
+
+def value_of(kind: Any, value: Any, store: Any) -> Any:
+    """One field's value from JSON's."""
+    node, detail = kind
+    if node.name == "BASE":
+        return value if value is not None else {"string": "", "bool": False}.get(detail[0], 0)
+    if node.name == "NAME":
+        return store.types[detail](**fields_of(detail, value or {}, store))
+    element, size = detail
+    items = value if value is not None else [None] * (size if node.name == "ARRAY" else 0)
+    listed = [value_of(element, item, store) for item in items]
+    if element[0].name == "BASE" and element[1][0] not in ("string", "bool"):
+        return np.array(listed, np.dtype({"octet": "uint8", "char": "uint8"}.get(element[1][0], element[1][0])))
+    return listed
+
+
+def plain(value: Any) -> Any:
+    """A message as JSON's values."""
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "__msgtype__"}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+class ZenohPeer:
+    """Executes the commands."""
+
+    def __init__(self, port: int, domain: int) -> None:
+        self._where: dict[str, Any] = {"router_port": port, "domain_id": domain}
+        self._endpoints: dict[int, Any] = {}
+        self._messages: dict[int, list[Any]] = {}
+        self._came = threading.Condition()
+
+    def _options(self, params: dict[str, Any]) -> dict[str, Any]:
+        name = full_name(params["type"])
+        qos = QosProfile(
+            reliability=QosReliability.BEST_EFFORT if params.get("best_effort") else QosReliability.RELIABLE,
+            durability=QosDurability.TRANSIENT_LOCAL if params.get("latched") else QosDurability.VOLATILE,
+            history_depth=params.get("depth", 10),
+        )
+        definition = STORE.generate_msgdef(name, ros_version=2)[0]
+        type_hash = params.get("hash") or STORE.hash_rihs01(name)
+        return {"msg_type": name, "msg_definition": definition, "type_hash": type_hash, "qos": qos, **self._where}
+
+    def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
+        number = len(self._messages)
+        self._messages[number] = []
+        self._endpoints[number] = ROS2Publisher(params["topic"], node_name="sdk_talker", **self._options(params))
+        return {"id": number}
+
+    def publish(self, params: dict[str, Any]) -> dict[str, Any]:
+        publisher = self._endpoints[params["id"]]
+        publisher.publish(**fields_of(publisher.msg_type, params["message"], publisher.session_mgr.store))
+        return {}
+
+    def subscribe(self, params: dict[str, Any]) -> dict[str, Any]:
+        number = len(self._messages)
+        self._messages[number] = []
+
+        def heard(message: Any) -> None:
+            with self._came:
+                self._messages[number].append(plain(message))
+                self._came.notify_all()
+
+        subscriber = ROS2Subscriber(params["topic"], callback=heard, node_name="sdk_listener", **self._options(params))
+        self._endpoints[number] = subscriber
+        return {"id": number}
+
+    def wait(self, params: dict[str, Any]) -> dict[str, Any]:
+        messages = self._messages[params["id"]]
+        with self._came:
+            self._came.wait_for(lambda: len(messages) >= params["count"], params["seconds"])
+            return {"messages": list(messages)}
+
+    def drop(self, params: dict[str, Any]) -> dict[str, Any]:
+        self._endpoints.pop(params["id"]).close()
+        return {}
+
+    def topic_info(self, params: dict[str, Any]) -> dict[str, Any]:
+        info = get_topic_info(params["topic"], verbose=True, **self._where)
+        return {"info": None if info is None else json.loads(json.dumps(info, default=vars))}
+
+    def graph(self, _params: dict[str, Any]) -> dict[str, Any]:
+        topics = dict(get_topic_names_and_types(**self._where))
+        infos = {topic: get_topic_info(topic, verbose=True, **self._where) for topic in topics}
+        return {
+            "topics": topics,
+            "publishers": {t: [e.node_name for e in info.publishers] for t, info in infos.items() if info},
+            "subscriptions": {t: [e.node_name for e in info.subscribers] for t, info in infos.items() if info},
+        }
+
+    def close(self) -> None:
+        for endpoint in self._endpoints.values():
+            endpoint.close()
+        ZenohSession.get_instance(router_port=self._where["router_port"]).close()
+
+
+def main() -> None:
+    """Read commands until the input ends or ``exit``."""
+    peer = ZenohPeer(int(sys.argv[1]), int(sys.argv[2]))
+    try:
+        for line in sys.stdin:
+            command = json.loads(line)
+            name = command.pop("do")
+            if name == "exit":
+                break
+            try:
+                answer = {"ok": True, **getattr(peer, name)(command)}
+            except Exception as err:
+                answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+            print(json.dumps(answer), flush=True)
+    finally:
+        peer.close()
+    print(json.dumps({"ok": True}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
