@@ -294,6 +294,11 @@ class Slot:
             case Phase.PAUSED | Phase.FAILED if now > self._due:
                 self._launch()
 
+    def forgive(self, seconds: float) -> None:
+        """The daemon itself did not look for so long."""
+        self._beat += seconds
+        self._started += seconds
+
     def _kill(self, why: str) -> None:
         if self._killed or self._link is None:
             return

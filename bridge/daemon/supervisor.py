@@ -22,6 +22,8 @@ from bridge.daemon.workers import worker_kinds
 logger = logging.getLogger("midspan.daemon")
 
 STEP = 0.25
+STOOD_STILL = 1.0
+"""A step longer than this means that this process, or the machine, stood still: no worker is to blame for that time."""
 READY_AFTER = 10.0
 """Ready at the latest after this, with what works by then: a side that is away must not fail the whole service."""
 STOP_SECONDS = 4.8
@@ -61,6 +63,7 @@ class Supervisor:
         self._ready_at = 0.0
         self._refused = ""
         self._status_sent = 0.0
+        self._stepped = time.monotonic()
 
     @property
     def config(self) -> Config:
@@ -88,6 +91,7 @@ class Supervisor:
             RuntimeError: another daemon of this name runs in this state folder.
         """
         lock = self._only_one()
+        self._stepped = time.monotonic()
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
             self._begin(self._config)
@@ -125,10 +129,14 @@ class Supervisor:
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
         self._loop.step(min(STEP, interval / 2) if interval else STEP)
+        now = time.monotonic()
+        stood_still = now - self._stepped
+        self._stepped = now
         for slot in self.slots:
+            if stood_still > STOOD_STILL:
+                slot.forgive(stood_still)
             slot.tick()
         self._notify.feed_watchdog()
-        now = time.monotonic()
         if not self._announced and (now > self._ready_at or all(slot.settled for slot in self.slots)):
             self._announced = True
             self._status_sent = 0.0
