@@ -364,15 +364,18 @@ class Engine:
         }
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
-        """Everything that was decided of a topic, by its name on the side or on the hub."""
-        name = topic if topic.startswith("/") else "/" + topic
-        found = [v.as_dict() for v in self.verdicts() if name in (v.topic, v.hub_topic)]
-        heard = [
-            e for e in self.edge.endpoints() if e.topic == name and e.kind is Kind.SUBSCRIPTION
-        ]  # fmt: skip
-        if not found and heard:
-            nodes = ", ".join(sorted({e.node for e in heard}))
-            found.append(Verdict.no_publisher(name, heard[0].type, nodes).as_dict())
+        """Everything that was decided of a topic, by its name on the side or on the hub; of all topics for ``""``."""
+        name = topic if topic.startswith("/") or not topic else "/" + topic
+        found = [v.as_dict() for v in self.verdicts() if not name or name in (v.topic, v.hub_topic)]
+        told = {str(entry[key]) for entry in found for key in ("topic", "hub_topic")}
+        heard: dict[str, list[Endpoint]] = defaultdict(list)
+        for endpoint in self.edge.endpoints():
+            wanted = endpoint.topic == name or not name
+            if wanted and endpoint.kind is Kind.SUBSCRIPTION and endpoint.topic not in told:
+                heard[endpoint.topic].append(endpoint)
+        for topic_heard, endpoints in heard.items():
+            nodes = ", ".join(sorted({e.node for e in endpoints}))
+            found.append(Verdict.no_publisher(topic_heard, endpoints[0].type, nodes).as_dict())
         return found
 
 
