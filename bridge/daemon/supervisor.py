@@ -160,7 +160,7 @@ class Supervisor:
             if slot.text:
                 text += f": {slot.text}"
             if slot.restarts:
-                text += f" ({slot.restarts} restarts)"
+                text += f" (restarted {slot.restarts}x)"
             parts.append(text)
         if self._refused:
             parts.append(f"reload refused, the running configuration is kept: {self._refused}")

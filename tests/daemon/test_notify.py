@@ -1,0 +1,151 @@
+"""What the daemon tells systemd, on a real datagram socket."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.daemon.notify import Notifier
+from tests.daemon.daemon import Daemon
+from tests.support.process import Process
+from tests.support.wait import until
+
+
+class Systemd:
+    """The receiving end of ``$NOTIFY_SOCKET``."""
+
+    def __init__(self, path: Path, watchdog: float) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.setblocking(False)
+        self.env = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": str(int(watchdog * 1e6))}
+        self.messages: list[str] = []
+
+    def read(self) -> list[str]:
+        while True:
+            try:
+                self.messages.append(self._socket.recv(65536).decode())
+            except BlockingIOError:
+                return self.messages
+
+    def wait(self, text: str, seconds: float = 20.0) -> None:
+        until(lambda: any(text in message for message in self.read()), f"{text} among {self.messages}", seconds)
+
+    def count(self, text: str) -> int:
+        return sum(text in message for message in self.read())
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[Systemd]:
+    made = Systemd(tmp_path / "notify", 1.0)
+    yield made
+    made.close()
+
+
+def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
+    process = daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    line = "STATUS=router running: router fine | ros1 running: ros1 fine | ros2 running: ros2 fine"
+    assert line in systemd.messages
+    assert systemd.messages.index(line) < systemd.messages.index("READY=1")
+    process.signal(signal.SIGTERM)
+    assert process.popen.wait(10) == 0
+    systemd.wait("STOPPING=1")
+
+
+def test_ready_comes_also_where_a_side_does_not_work(daemon: Daemon, systemd: Systemd) -> None:
+    daemon.order("ros1", "never")
+    daemon.order("ros2", "wait")
+    daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    systemd.wait("ros1 cannot work: there is no such robot | ros2 running: waiting, ros2 fine")
+
+
+def test_status_follows(daemon: Daemon, systemd: Systemd) -> None:
+    process = daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
+    systemd.wait("ros1 running: ros1 fine (restarted 1x)")
+    daemon.configure("hubb: 1\n")
+    process.signal(signal.SIGHUP)
+    systemd.wait("reload refused, the running configuration is kept: " + str(daemon.file) + ":3:1: hubb: unknown key")
+
+
+def test_reload_is_announced(daemon: Daemon, systemd: Systemd) -> None:
+    process = daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    process.signal(signal.SIGHUP)
+    systemd.wait("RELOADING=1\nMONOTONIC_USEC=")
+    until(lambda: systemd.count("READY=1") == 2, "ready again")
+
+
+def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Systemd) -> None:
+    process = daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    fed = systemd.count("WATCHDOG=1")
+    until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
+    process.signal(signal.SIGSTOP)
+    fed = systemd.count("WATCHDOG=1")
+    time.sleep(1.5)  # longer than the watchdog's interval: the very case
+    assert systemd.count("WATCHDOG=1") == fed
+    process.signal(signal.SIGCONT)
+    until(lambda: systemd.count("WATCHDOG=1") > fed, "fed again")
+
+
+def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Systemd) -> None:
+    ticks = daemon.folder / "ticks"
+    command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks)]
+    process = Process(command, {**daemon.env, **systemd.env})
+    daemon.processes.append(process)
+    systemd.wait("READY=1")
+    fed = systemd.count("WATCHDOG=1")
+    until(lambda: systemd.count("WATCHDOG=1") > fed, "fed")
+    process.signal(signal.SIGUSR1)
+    time.sleep(1.0)  # what was under way is through
+    fed, ticked = systemd.count("WATCHDOG=1"), int(ticks.read_text())
+    time.sleep(1.5)  # longer than the watchdog's interval: the very case
+    assert systemd.count("WATCHDOG=1") == fed
+    assert int(ticks.read_text()) > ticked
+    process.signal(signal.SIGKILL)
+
+
+def test_workers_do_not_inherit_what_is_the_daemons(daemon: Daemon, systemd: Systemd) -> None:
+    daemon.start(env=systemd.env)
+    systemd.wait("READY=1")
+    for worker in ("router", "ros1", "ros2"):
+        environ = Path(f"/proc/{daemon.wait_started(worker)}/environ").read_bytes()
+        assert b"NOTIFY_SOCKET" not in environ
+        assert b"WATCHDOG_USEC" not in environ
+
+
+def test_abstract_socket_and_foreign_watchdog(tmp_path: Path) -> None:
+    name = f"midspan-test-{os.getpid()}-{tmp_path.name}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind("\0" + name)
+        receiver.settimeout(5)
+        environ = {"NOTIFY_SOCKET": "@" + name, "WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}
+        notifier = Notifier(environ)
+        notifier.feed_watchdog()
+        notifier.status("two\nlines")
+        notifier.status("two lines")
+        notifier.ready()
+        assert [receiver.recv(100) for _ in range(2)] == [b"STATUS=two lines", b"READY=1"]
+        notifier.close()
+
+
+@pytest.mark.parametrize("environ", [{}, {"NOTIFY_SOCKET": "/nowhere/at/all"}, {"WATCHDOG_USEC": "x"}])
+def test_silent_without_systemd(environ: dict[str, str]) -> None:
+    notifier = Notifier(environ)
+    notifier.ready()
+    notifier.feed_watchdog()
+    notifier.close()

@@ -1,0 +1,116 @@
+"""SIGHUP: checked first, then only what changed is touched."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+from tests.daemon.daemon import Daemon, alive
+from tests.support.process import Process
+from tests.support.wait import until
+
+WORKERS = ("router", "ros1", "ros2")
+
+
+def reload(daemon: Daemon, process: Process, config: str) -> None:
+    daemon.configure(config)
+    process.signal(signal.SIGHUP)
+
+
+def test_workers_that_use_what_changed_are_told_and_no_other(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    reload(daemon, process, "routing: {default: deny}\n")
+    for worker in ("ros1", "ros2"):
+        until(lambda worker=worker: daemon.events(worker, "reload"), f"{worker} told")
+        assert daemon.events(worker, "reload") == [["reload", "deny"]]
+    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    assert daemon.events("router", "reload") == []
+    assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
+
+
+def test_change_of_one_side_leaves_the_other_alone(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    reload(daemon, process, "ros1: {poll: 1}\n")
+    until(lambda: daemon.events("ros1", "reload"), "ros1 told")
+    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    assert daemon.events("ros2", "reload") == []
+
+
+def test_unchanged_file_touches_nobody(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    process.signal(signal.SIGHUP)
+    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
+
+
+def test_worker_that_needs_a_restart_is_restarted_alone(daemon: Daemon) -> None:
+    daemon.order("ros1", "refuse-reload")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    reload(daemon, process, "routing: {default: deny}\n")
+    assert alive(daemon.wait_started("ros1", 2))
+    assert daemon.events("ros1", "start")[1][2] == "deny"
+    assert len(daemon.events("ros1", "stop")) == 1
+    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    assert len(daemon.pids("ros2")) == len(daemon.pids("router")) == 1
+
+
+@pytest.mark.parametrize(
+    ("config", "complaint"),
+    [
+        ("routing: {defaults: deny}\n", "midspan.yaml:3:11: routing.defaults: unknown key 'defaults'; did you mean"),
+        ("routing: [\n", "midspan.yaml:4:1: not valid YAML"),
+        ("hub: {domain: 999}\n", "midspan.yaml:3:15: hub.domain"),
+    ],
+)
+def test_broken_file_keeps_the_running_configuration(daemon: Daemon, config: str, complaint: str) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    reload(daemon, process, config)
+    daemon.wait_output(process, complaint)
+    daemon.wait_output(process, "reload refused, the running configuration is kept")
+    assert [daemon.events(worker, "reload") for worker in WORKERS] == [[], [], []]
+    reload(daemon, process, "routing: {default: deny}\n")
+    until(lambda: daemon.events("ros1", "reload"), "the mended file is taken up")
+
+
+def test_name_cannot_change_while_running(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    daemon.file.write_text("name: other\nstate: state\n")
+    process.signal(signal.SIGHUP)
+    daemon.wait_output(process, "name: changing it from 'test' to 'other' needs a restart of the daemon")
+    assert all(alive(daemon.wait_started(worker)) for worker in WORKERS)
+
+
+def test_sides_are_switched_off_and_on(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    first = daemon.wait_started("ros1")
+    reload(daemon, process, "ros1: {enabled: false}\n")
+    until(lambda: not alive(first), "switched off")
+    until(lambda: process.output().count("ready: ") == 2, "ready again")
+    assert len(daemon.events("ros1", "stop")) == 1
+    reload(daemon, process, "")
+    assert alive(daemon.wait_started("ros1", 2))
+
+
+def test_worker_that_gave_up_is_tried_again_at_a_reload(daemon: Daemon) -> None:
+    daemon.order("ros1", "never")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    daemon.order("ros1")
+    reload(daemon, process, "ros1: {poll: 1}\n")
+    daemon.wait_output(process, "ros1 is up")
+
+
+def test_worker_that_died_meanwhile_gets_the_new_configuration(daemon: Daemon) -> None:
+    daemon.order("ros1", "crash")
+    process = daemon.start()
+    daemon.wait_started("ros1", 2)
+    reload(daemon, process, "routing: {default: deny}\n")
+    until(lambda: daemon.events("ros1", "start")[-1][2] == "deny", "started with the new one")

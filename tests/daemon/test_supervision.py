@@ -1,0 +1,227 @@
+"""The daemon and its workers as real processes: start, watch, restart, adopt, stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import psutil
+import pytest
+
+from tests.daemon.daemon import Daemon, alive, gone
+from tests.support.wait import until
+
+WORKERS = ("router", "ros1", "ros2")
+
+
+def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    pids = [daemon.wait_started(worker) for worker in WORKERS]
+    assert all(alive(pid) for pid in pids)
+    process.signal(signal.SIGTERM)
+    assert process.popen.wait(10) == 0
+    assert not any(alive(pid) for pid in pids)
+    output = process.output()
+    assert output.index("ros1 ended with exit code 0") < output.index("router is stopped")
+    assert output.index("ros2 ended with exit code 0") < output.index("router is stopped")
+    assert [len(daemon.events(worker, "stop")) for worker in WORKERS] == [1, 1, 1]
+
+
+def test_crashed_worker_is_restarted_with_growing_pauses(daemon: Daemon) -> None:
+    daemon.order("ros1", "crash-at-start")
+    process = daemon.start()
+    daemon.wait_started("ros1", 4, 30)
+    output = process.output()
+    pauses = [output.index(f"restarted in {pause} s") for pause in ("0.2", "0.4", "0.8")]
+    assert pauses == sorted(pauses)
+    assert "ValueError: broken on purpose" in output
+    assert len(daemon.pids("ros2")) == 1
+    daemon.order("ros1")
+    until(lambda: "ros1 is up" in process.output(), "ros1 is up again")
+
+
+def test_killed_worker_is_replaced_and_the_others_left_alone(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    os.kill(daemon.wait_started("ros2"), signal.SIGKILL)
+    assert alive(daemon.wait_started("ros2", 2))
+    daemon.wait_output(process, "ros2 killed by SIGKILL")
+    assert len(daemon.pids("ros1")) == len(daemon.pids("router")) == 1
+
+
+def test_what_a_dead_worker_started_is_ended(daemon: Daemon) -> None:
+    daemon.order("ros1", "child")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    child = int(daemon.events("ros1", "child")[0][1])
+    assert alive(child)
+    os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
+    until(gone(child), "the worker's own child is gone")
+
+
+@pytest.mark.parametrize("worker", ["ros1", "router"])
+def test_stopped_process_is_replaced(daemon: Daemon, worker: str) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    first = daemon.wait_started(worker)
+    os.kill(first, signal.SIGSTOP)
+    assert alive(daemon.wait_started(worker, 2))
+    assert not alive(first)
+    assert f"{worker} sent no heartbeat for 5 s" in process.output()
+
+
+@pytest.mark.parametrize("order", ["hang", "unanswered"])
+def test_worker_whose_loop_hangs_is_replaced(daemon: Daemon, order: str) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    daemon.order("ros1", order)
+    until(lambda: "ros1 sent no heartbeat" in process.output(), "noticed")
+    daemon.order("ros1")
+    assert alive(daemon.wait_started("ros1", 2))
+
+
+def test_worker_that_can_never_work_is_not_restarted_at_once(daemon: Daemon) -> None:
+    daemon.order("ros1", "never")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    assert "ros1 cannot work: there is no such robot" in process.output()
+    daemon.order("ros2", "crash")
+    daemon.wait_started("ros2", 4)
+    assert len(daemon.pids("ros1")) == 1
+
+
+def test_hanging_worker_does_not_delay_the_stop_beyond_five_seconds(daemon: Daemon) -> None:
+    for worker in WORKERS:
+        daemon.order(worker, "hang-at-stop")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    pids = [daemon.wait_started(worker) for worker in WORKERS]
+    begun = time.monotonic()
+    process.signal(signal.SIGTERM)
+    assert process.popen.wait(20) == 0
+    assert time.monotonic() - begun < 5.0  # the promise itself, not the machine's speed
+    assert not any(alive(pid) for pid in pids)
+
+
+def test_second_signal_stops_at_once(daemon: Daemon) -> None:
+    daemon.order("ros1", "hang-at-stop")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    process.signal(signal.SIGINT)
+    daemon.wait_output(process, "ros1 is stopped")
+    process.signal(signal.SIGINT)
+    assert process.popen.wait(10) == 0
+    assert "did not stop in time" not in process.output()
+    assert not alive(daemon.wait_started("ros1"))
+
+
+def test_workers_end_with_a_killed_daemon_and_the_next_one_adopts_the_router(daemon: Daemon) -> None:
+    first = daemon.start()
+    daemon.wait_ready(first)
+    router, ros1, ros2 = (daemon.wait_started(worker) for worker in WORKERS)
+    first.popen.kill()
+    until(gone(ros1), "ros1 ends with its daemon")
+    until(gone(ros2), "ros2 ends with its daemon")
+    assert alive(router)
+    second = daemon.start()
+    daemon.wait_ready(second)
+    assert daemon.pids("router") == [router]
+    assert len(daemon.pids("ros1")) == len(daemon.pids("ros2")) == 2
+    second.signal(signal.SIGTERM)
+    assert second.popen.wait(10) == 0
+    until(gone(router), "a router that a daemon started stops with the clean stop of its heir")
+
+
+def test_adopted_router_that_dies_is_replaced(daemon: Daemon) -> None:
+    first = daemon.start()
+    daemon.wait_ready(first)
+    router = daemon.wait_started("router")
+    first.popen.kill()
+    first.popen.wait()
+    second = daemon.start()
+    daemon.wait_ready(second)
+    os.kill(router, signal.SIGKILL)
+    assert alive(daemon.wait_started("router", 2))
+
+
+def test_worker_of_a_killed_daemon_that_hangs_is_ended_by_the_next(daemon: Daemon) -> None:
+    first = daemon.start()
+    daemon.wait_ready(first)
+    ros1 = daemon.wait_started("ros1")
+    os.kill(ros1, signal.SIGSTOP)
+    first.popen.kill()
+    first.popen.wait()
+    second = daemon.start()
+    assert alive(daemon.wait_started("ros1", 2))
+    assert not alive(ros1)
+    assert f"process {ros1} of an earlier daemon does not end" in second.output()
+
+
+def test_daemon_that_stood_still_does_not_blame_its_workers(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    process.signal(signal.SIGSTOP)
+    time.sleep(6)  # longer than the heartbeat's limit: the very case
+    process.signal(signal.SIGCONT)
+    daemon.configure("routing: {default: deny}\n")
+    process.signal(signal.SIGHUP)
+    until(lambda: daemon.events("ros1", "reload"), f"the daemon works again: {process.output()}")
+    assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
+
+
+def test_second_daemon_is_refused(daemon: Daemon) -> None:
+    first = daemon.start()
+    daemon.wait_ready(first)
+    second = daemon.start()
+    assert second.popen.wait(20) == 1
+    assert f"a daemon named 'test' already runs (process {first.pid}" in second.output()
+    assert "Traceback" not in second.output()
+    assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
+
+
+def test_log_lines_carry_the_workers_name(daemon: Daemon) -> None:
+    daemon.order("ros1", "print")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    daemon.wait_output(process, "ros1: a line on standard output")
+    daemon.wait_output(process, "ros1: a line on standard error")
+
+
+def test_journal_gets_priorities(daemon: Daemon) -> None:
+    daemon.order("ros1", "never", "print")
+    process = daemon.start(env={"JOURNAL_STREAM": "1:2"})
+    daemon.wait_output(process, "<6>midspan: ready")
+    lines = process.output().splitlines()
+    assert all(line.startswith("<") for line in lines), lines
+    assert any(line.startswith("<3>midspan: ros1 cannot work") for line in lines)
+    assert any(line.startswith("<3>ros1: cannot work here") for line in lines)
+
+
+def test_state_folder_is_for_its_owner_alone(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    assert (daemon.folder / "state").stat().st_mode & 0o777 == 0o700
+
+
+def test_no_descriptors_or_processes_leak_over_restarts(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    watched = psutil.Process(process.pid)
+    before = watched.num_fds()
+    for count in range(2, 5):
+        os.kill(daemon.wait_started("ros1", count - 1), signal.SIGKILL)
+        daemon.wait_started("ros1", count)
+        os.kill(daemon.wait_started("router", count - 1), signal.SIGKILL)
+        daemon.wait_started("router", count)
+    until(lambda: watched.num_fds() == before, "as many descriptors as before")
+    assert len(watched.children()) == len(WORKERS)
+    assert watched.num_threads() == 1
+
+
+def test_open_files_limit_is_raised_for_the_workers(daemon: Daemon) -> None:
+    process = daemon.start()
+    daemon.wait_ready(process)
+    soft, hard = psutil.Process(daemon.wait_started("ros1")).rlimit(psutil.RLIMIT_NOFILE)
+    assert soft == min(hard, 1 << 16)
