@@ -63,8 +63,10 @@ class Fake(Worker):
             msg = "crashed on purpose"
             raise ValueError(msg)
         if "hang" in orders:
+            self._note("hang")
             time.sleep(FOREVER)
         if "unanswered" in orders:
+            self._note("unanswered")
             msg = "the engine does not answer"
             raise TimeoutError(msg)
         return Health("waiting" if "wait" in orders else "running", f"{self.name} fine")

@@ -1,0 +1,257 @@
+"""``midspan worker``: under pipes, alone, and as a service of its own that daemons come and go by."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.daemon.protocol import NewConfig, encode_command
+from tests.daemon.daemon import Daemon, alive
+from tests.support.wait import until
+
+
+class Supervised:
+    """``midspan worker ros1 --supervised`` with the test in the daemon's place."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self.popen = subprocess.Popen(
+            [sys.executable, "-m", "bridge.cli.main", "worker", "ros1", "--supervised"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=daemon.env,
+        )
+
+    def send(self, line: bytes) -> None:
+        assert self.popen.stdin is not None
+        self.popen.stdin.write(line)
+        self.popen.stdin.flush()
+
+    def read(self) -> dict[str, Any]:
+        assert self.popen.stdout is not None
+        line = self.popen.stdout.readline()
+        assert line, "the worker ended"
+        said: dict[str, Any] = json.loads(line)
+        return said
+
+    def end_of_input(self) -> None:
+        assert self.popen.stdin is not None
+        self.popen.stdin.close()
+
+    def close(self) -> None:
+        self.popen.kill()
+        self.popen.wait()
+        for pipe in (self.popen.stdin, self.popen.stdout):
+            assert pipe is not None
+            pipe.close()
+
+
+@pytest.fixture
+def supervised(daemon: Daemon) -> Iterator[Supervised]:
+    made = Supervised(daemon)
+    yield made
+    made.close()
+
+
+def config(daemon: Daemon, **changes: Any) -> bytes:
+    return encode_command(NewConfig(Config(name="test", state=daemon.folder, **changes)))
+
+
+def test_beats_and_stops_when_told_to(daemon: Daemon, supervised: Supervised) -> None:
+    daemon.order("ros1", "print")
+    supervised.send(config(daemon))
+    assert supervised.read() == {"beat": 1, "state": "running", "text": "ros1 fine"}
+    assert supervised.read()["beat"] == 2
+    supervised.send(b'{"stop": true}\n')
+    assert supervised.popen.wait(10) == 0
+    assert len(daemon.events("ros1", "stop")) == 1
+
+
+def test_end_of_input_stops(daemon: Daemon, supervised: Supervised) -> None:
+    supervised.send(config(daemon))
+    supervised.read()
+    supervised.end_of_input()
+    assert supervised.popen.wait(10) == 0
+    assert len(daemon.events("ros1", "stop")) == 1
+
+
+def test_end_of_input_before_any_configuration(supervised: Supervised) -> None:
+    supervised.end_of_input()
+    assert supervised.popen.wait(10) == 0
+
+
+def test_end_of_input_ends_even_a_hanging_worker(daemon: Daemon, supervised: Supervised) -> None:
+    supervised.send(config(daemon))
+    supervised.read()
+    daemon.order("ros1", "hang")
+    until(lambda: daemon.events("ros1", "hang"), "hangs")
+    supervised.end_of_input()
+    assert supervised.popen.wait(15) == 1
+
+
+def test_reload_and_what_it_answers(daemon: Daemon, supervised: Supervised) -> None:
+    supervised.send(config(daemon))
+    supervised.read()
+    supervised.send(config(daemon, routing={"default": "deny"}))
+    until(lambda: "reloaded" in supervised.read(), "taken up")
+    assert daemon.events("ros1", "reload") == [["reload", "deny"]]
+    daemon.order("ros1", "refuse-reload")
+    supervised.send(config(daemon))
+    until(lambda: "restart" in supervised.read(), "asks for a restart")
+
+
+@pytest.mark.parametrize(
+    "line", [b"rubbish\n", b"[]\n", b'{"config": {"nonsense": 1}}\n', b"\xff\xfe\n", b"{" * 5000 + b"\n"]
+)
+def test_rubbish_from_the_daemon_is_ignored(daemon: Daemon, supervised: Supervised, line: bytes) -> None:
+    supervised.send(config(daemon))
+    supervised.read()
+    supervised.send(line)
+    assert supervised.read()["beat"] == 2
+    supervised.send(b'{"stop": true}\n')
+    assert supervised.popen.wait(10) == 0
+
+
+@pytest.mark.parametrize(("order", "code"), [("never", 78), ("crash-at-start", 1), ("crash", 1)])
+def test_exit_codes(daemon: Daemon, supervised: Supervised, order: str, code: int) -> None:
+    daemon.order("ros1", order)
+    supervised.send(config(daemon))
+    assert supervised.popen.wait(10) == code
+    assert supervised.popen.stdout is not None
+    said = supervised.popen.stdout.read()
+    assert (b'{"failed":"there is no such robot"}' in said) == (order == "never")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_alone_until_a_signal(daemon: Daemon, number: signal.Signals) -> None:
+    process = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    daemon.wait_started("ros1")
+    process.signal(number)
+    assert process.popen.wait(10) == 0
+    assert len(daemon.events("ros1", "stop")) == 1
+
+
+def test_alone_reloads_and_starts_again_where_it_must(daemon: Daemon) -> None:
+    process = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    pid = daemon.wait_started("ros1")
+    daemon.configure("routing: {default: allowed}\n")
+    process.signal(signal.SIGHUP)
+    daemon.wait_output(process, "'allowed' is not one of allow, deny; did you mean 'allow'?")
+    daemon.configure("routing: {default: deny}\n")
+    process.signal(signal.SIGHUP)
+    until(lambda: daemon.events("ros1", "reload deny"), "reloaded")
+    daemon.order("ros1", "refuse-reload")
+    daemon.configure("ros1: {poll: 2}\n")
+    process.signal(signal.SIGHUP)
+    assert daemon.wait_started("ros1", 2) == pid
+    assert len(daemon.events("ros1", "stop")) == 1
+
+
+def test_alone_refuses_to_run_twice(daemon: Daemon) -> None:
+    daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    pid = daemon.wait_started("ros1")
+    second = daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    assert second.popen.wait(20) == 1
+    assert f"already runs as process {pid}" in second.output()
+
+
+def test_router_service_survives_daemons_and_is_left_running(daemon: Daemon) -> None:
+    service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    router = daemon.wait_started("router")
+    for count in (1, 2):
+        process = daemon.start("--adopt", "router")
+        daemon.wait_ready(process)
+        daemon.wait_started("ros1", count)
+        assert f"connected to process {router}, started by a service" in process.output()
+        process.signal(signal.SIGTERM)
+        assert process.popen.wait(10) == 0
+    assert alive(router)
+    assert daemon.pids("router") == [router]
+    service.signal(signal.SIGTERM)
+    assert service.popen.wait(10) == 0
+    assert not (daemon.folder / "state" / "test.router.sock").exists()
+
+
+def test_daemon_waits_for_a_service_that_comes_later(daemon: Daemon) -> None:
+    process = daemon.start("--adopt", "router")
+    daemon.wait_output(process, "router waits for its service")
+    daemon.wait_started("ros1")
+    service = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    daemon.wait_ready(process)
+    service.signal(signal.SIGKILL)
+    daemon.wait_output(process, "router ended after")
+    daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    until(lambda: process.output().count("router is up") == 2, "found again")
+    assert len(daemon.pids("router")) == 2
+
+
+def test_service_takes_up_the_daemons_configuration(daemon: Daemon) -> None:
+    daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    daemon.wait_started("router")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    daemon.configure("hub: {domain: 3}\n")
+    process.signal(signal.SIGHUP)
+    until(lambda: daemon.events("router", "reload"), "told")
+    assert len(daemon.pids("router")) == 1
+
+
+def test_service_of_a_side_is_not_killed_by_a_daemon_of_the_same_name(daemon: Daemon) -> None:
+    daemon.midspan("worker", "ros1", "--config", str(daemon.file))
+    pid = daemon.wait_started("ros1")
+    process = daemon.start()
+    daemon.wait_output(process, f"ros1 is run by process {pid}, not by this daemon")
+    daemon.wait_started("ros2")
+    assert alive(pid)
+    assert daemon.pids("ros1") == [pid]
+
+
+def test_router_keeps_its_log_for_the_next_daemon(daemon: Daemon) -> None:
+    first = daemon.start()
+    daemon.wait_ready(first)
+    router = daemon.wait_started("router")
+    first.popen.kill()
+    first.popen.wait()
+    daemon.order("router", "unanswered")
+    until(lambda: daemon.events("router", "unanswered"), "something to tell while no daemon is there")
+    second = daemon.start()
+    daemon.wait_output(second, "router: the worker's loop does not answer: the engine does not answer")
+    daemon.order("router")
+    daemon.wait_ready(second)
+    assert daemon.pids("router")[0] == router
+
+
+def test_crash_of_the_router_at_its_start_is_told(daemon: Daemon) -> None:
+    daemon.env["MIDSPAN_WORKERS"] = "router=tests.daemon.fakes:Nothing"
+    daemon.configure("ros1: {enabled: false}\nros2: {enabled: false}\n")
+    process = daemon.start()
+    daemon.wait_output(process, "AttributeError: module 'tests.daemon.fakes' has no attribute 'Nothing'")
+    daemon.wait_output(process, "router ended with exit code 1")
+
+
+def test_state_folder_that_cannot_be_used(daemon: Daemon) -> None:
+    daemon.file.write_text("state: /proc/nothing\n")
+    process = daemon.start()
+    assert process.popen.wait(20) == 1
+    assert "state folder /proc/nothing: " in process.output()
+    assert "set 'state' in the configuration" in process.output()
+
+
+def test_state_folder_too_long_for_a_socket(daemon: Daemon) -> None:
+    long = Path("x" * 90)
+    daemon.file.write_text(f"name: test\nstate: {long}\nros1: {{enabled: false}}\nros2: {{enabled: false}}\n")
+    process = daemon.start()
+    daemon.wait_output(process, "too long for a socket's name")
+    process.signal(signal.SIGTERM)
+    assert process.popen.wait(10) == 0
+    assert not daemon.pids("router")
+    assert os.path.isdir(daemon.folder / long)  # noqa: PTH112
