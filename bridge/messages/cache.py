@@ -1,0 +1,59 @@
+"""Where compiled code is kept between starts."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def cache_folder(sources: Sequence[Path]) -> Path | None:
+    """The folder for the compiled form of ``sources``, which lie in one folder.
+
+    numba looks at the time stamp of one file alone, so that a change in another that is compiled into it would go
+    unseen: here the folder's name has a digest of them all.
+
+    Returns:
+        A folder in NUMBA_CACHE_DIR, beside the sources, in the service's cache folder (CACHE_DIRECTORY) or in the
+        user's (XDG_CACHE_HOME, ~/.cache), or among the temporary files: the first that can be written, and by nobody
+        else. None where there is none.
+    """
+    digest = hashlib.sha256()
+    for source in sources:
+        digest.update(source.read_bytes())
+    name = f"midspan-numba-{digest.hexdigest()[:16]}"
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    roots = [
+        os.environ.get("NUMBA_CACHE_DIR", ""),
+        str(sources[0].parent / "__pycache__"),
+        os.environ.get("CACHE_DIRECTORY", "").split(":")[0],
+        os.environ.get("XDG_CACHE_HOME", ""),
+        _home_cache(),
+        str(Path(tempfile.gettempdir()) / f"midspan-{user}"),
+    ]
+    folders = [Path(root) / name for root in roots if root]
+    return next((folder for folder in folders if _usable(folder)), None)
+
+
+def _home_cache() -> str:
+    try:
+        return str(Path.home() / ".cache")
+    except RuntimeError:  # the user has no home
+        return ""
+
+
+def _usable(folder: Path) -> bool:
+    """Whether the folder is there, or can be made, is ours to write, and nobody else's."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        status = folder.stat()
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        return False
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return False
+    return not status.st_mode & (stat.S_IWOTH | stat.S_IWGRP)
