@@ -1,0 +1,197 @@
+"""``midspan explain TOPIC``: why is this topic bridged, or why is it not?"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.cli.console import print_json
+from bridge.cli.errors import CliError
+from bridge.cli.hubclient import Client, add_hub_arguments, open_client
+from bridge.cli.routes_table import Document, arrow, drops_text, route_list
+from bridge.cli.text import clean, duration, plural, rate, side_name
+from bridge.cli.topic_info import endpoint_json, endpoint_text, unknown_topic
+from bridge.cli.topic_view import Decision, absolute, ask_decisions, known_names
+from bridge.doctor import hubtypes
+from bridge.hub.graph import HubEndpoint
+
+_WORDS = {
+    "bridged": "crosses",
+    "denied": "does not cross",
+    "private": "does not cross",
+    "refused": "cannot cross",
+    "unseen": "has nothing to cross",
+    "own": "is not taken up",
+}
+
+
+def register(subparsers: Any) -> None:
+    """Add the verb's parser."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "explain",
+        help="say why a topic is or is not bridged",
+        description="Asks every worker what it decided of a topic and why, adds what the hub itself shows, and says it"
+        " in sentences, with the cure where something stands in the way. Exit code 1 where nobody knows the topic.",
+    )
+    parser.add_argument("topic", help="the topic's name, on the hub or on a side")
+    parser.add_argument("--json", action="store_true", help="print it as JSON")
+    add_hub_arguments(parser)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth knowing about a topic, and what to do about it."""
+
+    text: str
+    cure: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Everything that is known of one topic.
+
+    Attributes:
+        decisions: what the workers decided, each with its route's status where there is one.
+        endpoints: publishers and subscriptions on the hub.
+        notes: what the hub's view and the workers' states add.
+    """
+
+    topic: str
+    decisions: Sequence[tuple[Decision, Document | None]]
+    endpoints: Sequence[HubEndpoint]
+    notes: Sequence[Note]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Explain one topic."""
+    with open_client(args) as client:
+        explanation = explain(client, absolute(args.topic))
+    if args.json:
+        print_json(_as_json(explanation))
+    else:
+        print("\n".join(_sentences(explanation)))
+    return 0
+
+
+def explain(client: Client, topic: str) -> Explanation:
+    """Gather what is known of a topic; raises `CliError` where nobody knows it."""
+    decisions = ask_decisions(client, topic)
+    documents = [a.value for a in client.ask("status") if isinstance(a.value, dict)]
+    client.settle()
+    names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
+    graph = client.hub.graph
+    endpoints = [
+        e for name in sorted(names) for e in (*graph.publishers(name), *graph.subscriptions(name)) if not e.own
+    ]
+    if not decisions and not endpoints:
+        raise CliError(unknown_topic(topic, known_names(client, documents)))
+    paired = [(decision, _route(decision, documents)) for decision in decisions]
+    notes = [*_hub_notes(topic, endpoints), *_worker_notes(decisions, documents)]
+    return Explanation(topic, paired, endpoints, notes)
+
+
+def _route(decision: Decision, documents: Sequence[Document]) -> Document | None:
+    if decision.decision != "bridged":
+        return None
+    for document in documents:
+        if (document.get("daemon"), document.get("worker")) == (decision.daemon, decision.worker):
+            for route in route_list(document):
+                if (route.get("direction"), route.get("topic")) == (decision.direction, decision.topic):
+                    return route
+    return None
+
+
+def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
+    notes = [Note(conflict.text, conflict.cure) for conflict in hubtypes.conflicts(endpoints)]
+    publishers = [e for e in endpoints if e.kind == "publisher"]
+    subscriptions = [e for e in endpoints if e.kind == "subscription"]
+    if subscriptions and not publishers:
+        notes.append(Note(f"nobody publishes {topic} on the hub; {hubtypes.nodes(subscriptions)} would listen"))
+    waiting = [e for e in publishers if e.pending]
+    if waiting:
+        notes.append(
+            Note(f"it is not known yet which network {hubtypes.nodes(waiting)} speaks for, so nothing of it crosses")
+        )
+    if publishers and not any(p.qos.latched for p in publishers) and any(s.qos.latched for s in subscriptions):
+        who = hubtypes.nodes(s for s in subscriptions if s.qos.latched)
+        notes.append(
+            Note(
+                f"{who} asks for what was published before (transient local), but no publisher keeps it",
+                "where the publisher cannot be changed, a rule with qos: {durability: transient_local} keeps its last"
+                " message",
+            )
+        )
+    return notes
+
+
+def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) -> list[Note]:
+    if not documents:
+        return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
+    notes: list[Note] = []
+    told = {(d.daemon, d.worker) for d in decisions}
+    for document in documents:
+        side, who = document.get("side"), (document.get("daemon"), document.get("worker"))
+        name = f"{side_name(side)} (daemon {clean(who[0])})"
+        if document.get("state") == "waiting":
+            notes.append(Note(f"{name} is away: nothing crosses to or from it now"))
+        elif document.get("state") == "standby":
+            notes.append(Note(f"{name} stands by: another daemon is active on that network"))
+        elif side != "router" and who not in told:
+            notes.append(Note(f"{name} has decided nothing of it: it is not published there, and nothing leads there"))
+    return notes
+
+
+def _sentences(explanation: Explanation) -> list[str]:
+    lines: list[str] = []
+    for decision, route in explanation.decisions:
+        lines += _decision_lines(decision, route)
+    publishers = [e for e in explanation.endpoints if e.kind == "publisher"]
+    subscriptions = [e for e in explanation.endpoints if e.kind == "subscription"]
+    lines.append(f"On the hub: {plural(len(publishers), 'publisher')}, {plural(len(subscriptions), 'subscription')}.")
+    lines += [f"    published by {endpoint_text(e)}" for e in publishers]
+    lines += [f"    heard by {endpoint_text(e)}" for e in subscriptions]
+    for note in explanation.notes:
+        lines.append(f"Note: {clean(note.text)}.")
+        if note.cure:
+            lines.append(f"    cure: {clean(note.cure)}")
+    return lines
+
+
+def _decision_lines(decision: Decision, route: Document | None) -> list[str]:
+    word = _WORDS.get(decision.decision, decision.decision)
+    name = decision.topic if decision.direction == "in" else decision.hub_topic
+    lands = decision.hub_topic if decision.direction == "in" else decision.topic
+    renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
+    way = arrow(decision.worker, decision.direction)
+    text = f"{way}: {name} ({decision.type}) {word}{renamed}: {decision.why}. (daemon {decision.daemon})"
+    lines = [clean(text)]
+    if decision.cure:
+        lines.append(f"    cure: {clean(decision.cure)}")
+    if route is not None:
+        lines.append(f"    {_flow(route)}")
+        if route.get("error"):
+            lines.append(f"    last error: {clean(route['error'])}")
+    return lines
+
+
+def _flow(route: Document) -> str:
+    if not route.get("messages"):
+        return f"no message has come yet; drops: {drops_text(route)}"
+    speed = rate(route.get("rate"))
+    speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
+    return (
+        f"{route['messages']} messages, {speed}, the last one {duration(route.get('age'))} ago;"
+        f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}"
+    )
+
+
+def _as_json(explanation: Explanation) -> dict[str, Any]:
+    return {
+        "topic": explanation.topic,
+        "decisions": [{**decision.as_dict(), "route": route} for decision, route in explanation.decisions],
+        "hub": [endpoint_json(endpoint) for endpoint in explanation.endpoints],
+        "notes": [dataclasses.asdict(note) for note in explanation.notes],
+    }

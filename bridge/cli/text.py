@@ -1,0 +1,74 @@
+"""Words and figures for people: names of the sides, short numbers, and text from the network made harmless."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+
+SIDES = {"ros1": "ROS 1", "ros2": "ROS 2", "yarp": "YARP", "zenoh": "zenoh", "router": "router"}
+"""What people call each side."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+
+
+def side_name(side: object) -> str:
+    """What people call a side."""
+    return SIDES.get(str(side), clean(side))
+
+
+def clean(value: object) -> str:
+    """Text from the network as it may go to a terminal: without control characters, which could redraw it."""
+    return _CONTROL.sub("?", str(value)).replace("\n", " ").replace("\t", " ")
+
+
+def duration(seconds: object) -> str:
+    """``0.12 s``, ``4.5 s``, ``3 min``, ``2 h``, ``5 d``; ``-`` where it is not known."""
+    if not isinstance(seconds, int | float):
+        return "-"
+    if seconds < 1:
+        return f"{seconds:.2f} s"
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    for size, unit in ((60, "min"), (3600, "h")):
+        if seconds < 120 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds / 86400:.0f} d"
+
+
+def size(count: object) -> str:
+    """``340 B``, ``12 kB``, ``1.4 MB``; ``-`` where it is not known."""
+    if not isinstance(count, int | float):
+        return "-"
+    value = float(count)
+    for unit in ("B", "kB", "MB"):
+        if value < 1000:
+            return f"{value:.0f} {unit}" if unit == "B" or value >= 10 else f"{value:.1f} {unit}"
+        value /= 1000
+    return f"{value:.1f} GB"
+
+
+def rate(value: object) -> str:
+    """Messages a second: ``9.8``, ``340``; ``-`` where none came."""
+    if not isinstance(value, int | float) or not value:
+        return "-"
+    return f"{value:.2g}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def milliseconds(value: object) -> str:
+    """``0.31``, ``12``; ``-`` where it is not known."""
+    if not isinstance(value, int | float):
+        return "-"
+    return f"{value:.2f}" if value < 10 else f"{value:.0f}"
+
+
+def plural(count: int, noun: str) -> str:
+    """``1 route``, ``3 routes``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def near(name: str, names: Iterable[str], count: int = 3) -> list[str]:
+    """The names that somebody who wrote ``name`` may have meant, the likeliest first."""
+    known = sorted(set(names))
+    inside = [n for n in known if name.strip("/") and name.strip("/").lower() in n.lower()]
+    return list(dict.fromkeys([*difflib.get_close_matches(name, known, count, 0.6), *inside]))[:count]

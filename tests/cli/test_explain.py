@@ -1,0 +1,95 @@
+"""``midspan explain`` on a real hub, with prepared answers and with a real engine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.cli.conftest import Midspan
+from tests.cli.workers import EngineWorker, FakeWorker, route, status
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+RULES = [{"topic": "/secret", "deny": True}, {"topic": "/old", "rename": "/new"}]
+
+
+def engine(network: HubNetwork, registry: Registry, closing: list[Any]) -> EngineWorker:
+    """An engine with one topic of each fate."""
+    worker = EngineWorker(network, registry, rules=RULES)
+    closing.append(worker)
+    for topic in ("/secret", "/old", "/rosout", "/fine"):
+        worker.advertise(topic, STRING)
+    worker.advertise("/odd", "odd_msgs/msg/Odd")
+    until(lambda: len(worker.engine.verdicts()) == 5 and len(worker.engine.routes()) == 2, "all is decided")
+    return worker
+
+
+def test_each_fate_is_said_with_its_cure(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    fates = {
+        "/fine": ("bridged", "ROS 1 -> hub: /fine (std_msgs/msg/String) crosses: everything crosses by default"),
+        "/old": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
+        "/new": ("bridged", "/old (std_msgs/msg/String) crosses as /new: rule 2 allows it"),
+        "/secret": ("denied", "does not cross: rule 1 denies it"),
+        "/rosout": ("private", "private to its side: ROS 1's own log"),
+        "/odd": ("refused", "/odd (odd_msgs/msg/Odd) cannot cross: "),
+    }
+    for topic, (decision, words) in fates.items():
+        done = midspan("explain", topic)
+        assert (done.code, words in done.out) == (0, True), done
+        document = midspan("explain", topic, "--json").json()
+        assert [d["decision"] for d in document["decisions"]] == [decision], topic
+        assert bool(document["decisions"][0]["cure"]) == (decision != "bridged"), topic
+        assert len(document["hub"]) == (1 if decision == "bridged" else 0), topic
+
+
+def test_an_unknown_topic_has_its_nearest_names(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    done = midspan("explain", "secert")
+    assert done.code == 1
+    assert "no topic /secert" in done.err
+    assert "/secret" in done.err
+
+
+def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    decision = {
+        "direction": "out",
+        "topic": "/scan",
+        "hub_topic": "/scan",
+        "type": "t",
+        "decision": "bridged",
+        "why": "w",
+    }
+    document = status("ros2", routes=[route("/scan", "out", error="too short")])
+    closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
+    closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
+    words = midspan("explain", "/scan").out
+    for text in (
+        "hub -> ROS 2: /scan (t) crosses",
+        "100 messages, 9.8 msg/s",
+        "last error: too short",
+        "ROS 1 (daemon",
+    ):
+        assert text in words
+
+
+def test_what_the_hub_shows_of_a_mismatch(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    del closing
+    with Hub.open(network.settings("one")) as one, Hub.open(network.settings("two")) as two:
+        latched = Qos(durability=Durability.TRANSIENT_LOCAL)
+        first = one.publisher("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "1" * 64, Qos())
+        second = two.subscription("/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_" + "2" * 64, latched, lambda _s: None)
+        done = midspan("explain", "/map")
+        first.close()
+        second.close()
+    assert done.code == 0
+    for text in ("1 publisher, 1 subscription", "definitions of nav_msgs/msg/OccupancyGrid differ", "transient local"):
+        assert text in done.out
+    assert "no worker answers" in done.out

@@ -1,0 +1,97 @@
+"""``midspan status`` and ``midspan top`` on a real hub."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import Midspan
+from tests.cli.workers import EngineWorker, FakeWorker, config_file, route, status
+from tests.support.hub import HubNetwork
+from tests.support.ports import free_port
+
+REFUSED = {
+    "direction": "in",
+    "topic": "/odd",
+    "type": "odd_msgs/Odd",
+    "reason": "odd_msgs is not known",
+    "cure": "get it",
+}
+
+
+@pytest.fixture
+def workers(network: HubNetwork, closing: list[FakeWorker | EngineWorker]) -> None:
+    ros1 = status("ros1", routes=[route("/scan"), route("/odd\x1b[2J", error="bad\x07bell")], refused=[REFUSED])
+    ros2 = status("ros2", state="waiting", network=None, routes=[route("/scan", "out", state="idle", age=None)])
+    router = status("router", side="router", listen="tcp/127.0.0.1:1", sessions=3)
+    closing.extend(FakeWorker(network, document["worker"], status=document) for document in (ros1, ros2, router))
+
+
+@pytest.mark.usefixtures("workers")
+def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
+    done = midspan("status")
+    assert done.code == 0
+    words = done.out
+    for text in ("robot1", "network net-1", "ROS 2 is away", "3 sessions", "refused ROS 1 -> hub /odd (odd_msgs/Odd)"):
+        assert text in words
+    for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):
+        assert text in words
+    assert "bad?bell" in words
+    assert "\x1b" not in words
+
+
+@pytest.mark.usefixtures("workers")
+def test_status_as_json_is_the_documents(midspan: Midspan) -> None:
+    documents = midspan("status", "--json").json()
+    assert [d["worker"] for d in documents] == ["ros1", "ros2", "router"]
+    assert documents[0]["refused"] == [REFUSED]
+
+
+def test_a_worker_that_fails_to_answer_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    def fail(_params: dict[str, Any]) -> None:
+        msg = "the engine stands still"
+        raise RuntimeError(msg)
+
+    closing.append(FakeWorker(network, "ros1", status=fail))
+    done = midspan("status")
+    assert done.code == 0
+    assert "the engine stands still" in done.out
+
+
+@pytest.mark.parametrize("verb", ["status", "top"])
+def test_nothing_answers(tmp_path: Path, network: HubNetwork, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    config = config_file(tmp_path, network)
+    done = Midspan(config, capsys)(verb)
+    assert done.code == 1
+    assert "no worker of Midspan" in done.err
+    assert f"domain {network.domain}" in done.err
+
+    nobody = f"tcp/127.0.0.1:{free_port()}"
+    done = Midspan(config, capsys)(verb, "--router", nobody)
+    assert done.code == 1
+    assert nobody in done.err
+    assert "Is the daemon running?" in done.err
+
+
+@pytest.mark.usefixtures("workers")
+def test_top_without_a_terminal_prints_once(midspan: Midspan) -> None:
+    done = midspan("top")
+    assert done.code == 0
+    assert "ROS 1 -> hub" in done.out
+    assert "robot1/ros2 waiting" in done.out
+
+
+@pytest.mark.usefixtures("workers")
+def test_top_as_json_is_a_line(midspan: Midspan) -> None:
+    (documents,) = midspan("top", "--once", "--json").lines()
+    assert {d["worker"] for d in documents} == {"ros1", "ros2", "router"}
+
+
+def test_routes_of_two_daemons_say_whose(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
+    for daemon in ("robot1", "robot2"):
+        document = status("ros1", daemon=daemon, routes=[route("/scan")])
+        closing.append(FakeWorker(network, "ros1", daemon=daemon, status=document))
+    lines = midspan("top", "--once").out.splitlines()
+    assert [line.split()[0] for line in lines if "/scan" in line] == ["robot1", "robot2"]
