@@ -21,11 +21,12 @@ from bridge.adapters.base import (
     MadeBy,
     SideType,
 )
-from bridge.adapters.ros2 import shm
-from bridge.adapters.ros2.environment import domain, use_profile
+from bridge.adapters.ros2 import neighbours, shm
+from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
 from bridge.adapters.ros2.loop import TakeLoop
 from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.process import use_profile
 from bridge.adapters.ros2.publisher import Ros2Publisher
 from bridge.adapters.ros2.qos import mismatch
 from bridge.adapters.ros2.subscription import Ros2Subscription
@@ -52,6 +53,7 @@ class Ros2Edge(Edge):
         self._publishers: set[Ros2Publisher] = set()
         self._listener: EdgeListener | None = None
         self._prefix = b""
+        self._adapts = False
         self._participant: Participant | None = None
         self._loop: TakeLoop | None = None
         self._graph: Graph | None = None
@@ -62,20 +64,35 @@ class Ros2Edge(Edge):
         removed = shm.clean()
         if removed:
             _log.info("removed %d shared-memory files of dead ROS 2 processes", removed)
-        self._prefix = use_profile(self._config, self._state)
+        profile = use_profile(self._config, self._state)
+        self._prefix = profile.prefix
+        self._adapts = (
+            profile.segment > 0 and self._config.ros2.transport == "auto" and self._config.ros2.profile is None
+        )
         self._participant = Participant(self._config.ros2.node, domain(self._config, os.environ))
         self._loop = TakeLoop()
         self._loop.start()
-        self._graph = Graph(self._participant.node, self._prefix, self._changed)
+        self._graph = Graph(self._participant, self._prefix, self._changed)
         self._graph.start()
 
-    def _changed(self, _snapshot: Snapshot) -> None:
+    def _changed(self, snapshot: Snapshot) -> None:
+        if self._adapts and neighbours.strangers(snapshot.participants, self._prefix):
+            self._leave_shared_memory()
         with self._lock:
             subscriptions = list(self._subscriptions)
         for subscription in subscriptions:
             subscription.refit()
         if self._listener is not None:
             self._listener.graph_changed()
+
+    def _leave_shared_memory(self) -> None:
+        self._adapts = False
+        neighbours.note(self._state / "ros2")
+        if self._listener is not None:
+            self._listener.edge_failed(
+                "there are ROS 2 nodes of another user or container, to which shared memory delivers nothing:"
+                " starting again with UDP alone"
+            )
 
     def stop(self) -> None:
         """Leave the network."""
@@ -90,7 +107,6 @@ class Ros2Edge(Edge):
         for endpoint in endpoints:
             endpoint.close()
         loop.stop()
-        graph.close()
         participant.close()
 
     def network(self) -> str | None:

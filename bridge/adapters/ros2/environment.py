@@ -1,4 +1,7 @@
-"""What a ros2 worker's process needs of its environment, and whether rclpy can be had at all."""
+"""What a ros2 worker's process needs of its environment, and whether rclpy can be had at all.
+
+This module loads nothing of ROS: the daemon asks it before there is a worker.
+"""
 
 from __future__ import annotations
 
@@ -8,55 +11,83 @@ from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from bridge.adapters.ros2 import shm
 from bridge.config.model import Config
 
-_SOURCED = Path("/opt/ros/jazzy")
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_SYSTEM = Path("/opt/ros/jazzy")
+SWITCHES = {
+    "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    # The profile says how far to look; ROS 2's own range would add transports of its own.
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+    "SKIP_DEFAULT_XML": "1",
+}
+UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 _CURE = "install the wheels (pip install 'midspan[ros2]'), or source /opt/ros/jazzy/setup.bash with its own Python"
 
 
 def available(config: Config) -> str:  # noqa: ARG001 - every side's function has the same form
     """Nothing where rclpy can be had; else why not, and the cure."""
-    spec = find_spec("rclpy")
-    if spec is None:
+    if find_spec("rclpy") is None and _unsourced() is None:
         return f"rclpy is not installed for {sys.executable}; {_CURE}"
-    if find_spec("rmw_fastrtps_cpp") is None and not _libraries():
+    if find_spec("rclpy") is not None and find_spec("rmw_fastrtps_cpp") is None and not _sourced(os.environ):
         return f"rclpy is there without Fast DDS (rmw_fastrtps_cpp); {_CURE}"
     return ""
 
 
-def _libraries() -> list[Path]:
-    """The wheels' library folders: the prefix's own, and those that came with single wheels."""
-    folder = Path(sys.prefix) / "lib"
-    if not (folder / "librmw_fastrtps_cpp.so").exists():
-        return []
-    site = folder / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
-    return [folder, *sorted(site.glob("ros_*.libs"))]
-
-
 def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment for a ros2 worker, made from that of its parent."""
+    """The environment for a ros2 worker, made from that of its parent.
+
+    rclpy is that of a sourced ROS 2, else of the wheels in Midspan's own environment, else of ``/opt/ros/jazzy``.
+    """
     result = dict(environ)
-    libraries = _libraries()
-    if libraries:
+    _without_ros1(result)
+    unsourced = _unsourced()
+    if _sourced(environ):
+        pass
+    elif (Path(sys.prefix) / "lib/librcl.so").exists():
         # Set here, the wheels' start-up hook does not run the interpreter a second time.
         result["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
-        _prepend(result, "LD_LIBRARY_PATH", [str(p) for p in libraries])
-        _prepend(result, "AMENT_PREFIX_PATH", [sys.prefix])
-    result["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
+        _prepend(result, "LD_LIBRARY_PATH", [Path(sys.prefix) / "lib", *sorted(_site(sys.prefix).glob("ros_*.libs"))])
+        _prepend(result, "AMENT_PREFIX_PATH", [Path(sys.prefix)])
+    elif unsourced is not None:
+        _prepend(
+            result,
+            "LD_LIBRARY_PATH",
+            [*unsourced.glob("opt/*/lib"), *unsourced.glob("lib/*-linux-gnu"), unsourced / "lib"],
+        )
+        _prepend(result, "AMENT_PREFIX_PATH", [unsourced])
+        _prepend(result, "PYTHONPATH", [_site(unsourced)])
     result["ROS_DOMAIN_ID"] = str(domain(config, environ))
-    # The profile says how far to look; ROS 2's own switches would add transports of their own.
-    result["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-    result["SKIP_DEFAULT_XML"] = "1"
-    for name in ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML"):
+    for name in UNSET:
         result.pop(name, None)
-    return result
+    return result | SWITCHES
 
 
-def _prepend(environ: dict[str, str], name: str, folders: list[str]) -> None:
-    known = [p for p in environ.get(name, "").split(os.pathsep) if p and p not in folders]
-    environ[name] = os.pathsep.join([*folders, *known])
+def _site(prefix: str | Path) -> Path:
+    return Path(prefix) / f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
+
+
+def _sourced(environ: Mapping[str, str]) -> bool:
+    """Whether the parent's shell has sourced a ROS 2 for this very Python."""
+    prefixes = [p for p in environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p and Path(p) != Path(sys.prefix)]
+    return any((_site(p) / "rclpy").is_dir() for p in prefixes)
+
+
+def _unsourced() -> Path | None:
+    return _SYSTEM if (_site(_SYSTEM) / "rclpy").is_dir() else None
+
+
+def _without_ros1(environ: dict[str, str]) -> None:
+    """Take ROS 1's packages off the path: theirs have the names of ROS 2's, and would be imported instead."""
+    folders = [p for p in environ.get("PYTHONPATH", "").split(os.pathsep) if p and not (Path(p) / "rospy").is_dir()]
+    environ.pop("PYTHONPATH", None)
+    if folders:
+        environ["PYTHONPATH"] = os.pathsep.join(folders)
+
+
+def _prepend(environ: dict[str, str], name: str, folders: list[Path]) -> None:
+    first = [str(folder) for folder in folders]
+    known = [p for p in environ.get(name, "").split(os.pathsep) if p and p not in first]
+    environ[name] = os.pathsep.join([*first, *known])
 
 
 def domain(config: Config, environ: Mapping[str, str]) -> int:
@@ -67,45 +98,3 @@ def domain(config: Config, environ: Mapping[str, str]) -> int:
         return int(environ.get("ROS_DOMAIN_ID") or 0)
     except ValueError:
         return 0
-
-
-def use_profile(config: Config, state: Path) -> bytes:
-    """Write the Fast DDS profile and point this process at it, before Fast DDS is loaded; our GUID prefix.
-
-    Fast DDS reads the profile once in a process, so a later edge of the same process keeps the first one's mark.
-    """
-    from bridge.adapters.ros2 import rcl
-    from bridge.adapters.ros2.mark import new_prefix
-    from bridge.adapters.ros2.profile import Profile, stamped
-
-    if _used.prefix:
-        return _used.prefix
-    prefix = new_prefix(rcl.host_prefix())
-    own = config.ros2.profile
-    text = (
-        stamped(own, prefix) if own is not None else Profile(prefix, _segment(config), config.ros2.localhost_only).xml()
-    )
-    folder = state / "ros2"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "fastdds.xml"
-    path.write_text(text)
-    for name in _PROFILE_VARIABLES:
-        os.environ[name] = str(path)
-    _used.prefix = prefix
-    return prefix
-
-
-def _segment(config: Config) -> int:
-    transport = config.ros2.transport
-    if transport == "udp" or (transport == "auto" and shm.other_users()):
-        return 0
-    return shm.segment_size()
-
-
-class _Used:
-    """The mark that this process's Fast DDS was loaded with."""
-
-    prefix = b""
-
-
-_used = _Used()

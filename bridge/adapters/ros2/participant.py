@@ -1,66 +1,87 @@
-"""Our one DDS participant and node, and the endpoints that are made on it."""
+"""Our one DDS participant and node, and the endpoints that are made on it.
+
+rclpy's own ``Node`` puts a parameter-event publisher and more on the graph and needs an executor; only its inner
+module is used here, the one that rclpy's classes stand on (``rclpy.impl.implementation_singleton``, Jazzy).
+"""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rclpy.context import Context
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.node import Node
+from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from bridge.adapters.ros2.qos import to_rclpy
 from bridge.hub.qos import Qos
 
+_rclpy: Any = rclpy_implementation
+
+_DISCOVERY = "ros_discovery_info"
+"""The DDS topic on which every ROS participant tells its nodes: its writers are the participants."""
+
 
 class Participant:
-    """A node without executor, parameters, log topic or services; making and destroying is safe from any thread."""
+    """A node with nothing of its own on the graph; making and destroying endpoints is safe from any thread."""
 
     def __init__(self, name: str, domain: int) -> None:
         self._lock = threading.Lock()
         self._context = Context()
         self._context.init(args=[], initialize_logging=False, domain_id=domain)
-        self.node: Any = Node(
-            name,
-            context=self._context,
-            cli_args=[],
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        self._node = _rclpy.Node(name, "", self._context.handle, [], False, False)
+
+    @property
+    def pointer(self) -> int:
+        """``rcl_node_t *``."""
+        return int(self._node.pointer)
+
+    def topics(self) -> list[str]:
+        """Names of all ROS topics on the graph."""
+        return [name for name, _types in _rclpy.rclpy_get_topic_names_and_types(self._node, False)]
+
+    def publishers(self, topic: str) -> Sequence[Mapping[str, Any]]:
+        """A ROS topic's publishers, in rclpy's words."""
+        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_publishers_info_by_topic(self._node, topic, False)
+        return found
+
+    def subscriptions(self, topic: str) -> Sequence[Mapping[str, Any]]:
+        """A ROS topic's subscriptions, in rclpy's words."""
+        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_subscriptions_info_by_topic(self._node, topic, False)
+        return found
+
+    def participants(self) -> list[bytes]:
+        """GIDs of one endpoint of each ROS participant, ours included."""
+        return [
+            bytes(info["endpoint_gid"])
+            for info in _rclpy.rclpy_get_publishers_info_by_topic(self._node, _DISCOVERY, True)
+        ]
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
-        """A DDS writer."""
-        events = PublisherEventCallbacks(use_default_callbacks=False)
+        """A DDS writer; it has ``pointer``, ``rcl_publisher_t *``."""
         with self._lock:
-            return self.node.create_publisher(message_class, topic, to_rclpy(qos), event_callbacks=events)
+            return _rclpy.Publisher(self._node, message_class, topic, to_rclpy(qos))
 
     def make_reader(self, message_class: Any, topic: str, qos: Qos) -> Any:
-        """A DDS reader; its messages are taken by the loop, never by an executor."""
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        """A DDS reader; it has ``pointer``, ``rcl_subscription_t *``."""
         with self._lock:
-            return self.node.create_subscription(
-                message_class, topic, _never, to_rclpy(qos), event_callbacks=events, raw=True
-            )
+            return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
-    def destroy_writer(self, writer: Any) -> None:
-        """Give a writer back."""
-        with self._lock:
-            self.node.destroy_publisher(writer)
+    def make_guard_condition(self) -> Any:
+        """A guard condition of ours."""
+        return _rclpy.GuardCondition(self._context.handle)
 
-    def destroy_reader(self, reader: Any) -> None:
-        """Give a reader back."""
+    def make_wait_set(self, subscriptions: int, guard_conditions: int) -> Any:
+        """A wait set with room for so many."""
+        return _rclpy.WaitSet(subscriptions, guard_conditions, 0, 0, 0, 0, self._context.handle)
+
+    def destroy(self, entity: Any) -> None:
+        """Give a writer, a reader or a guard condition back."""
         with self._lock:
-            self.node.destroy_subscription(reader)
+            entity.destroy_when_not_in_use()
 
     def close(self) -> None:
         """Leave the network."""
-        with self._lock:
-            self.node.destroy_node()
+        self.destroy(self._node)
         self._context.try_shutdown()
         self._context.destroy()
-
-
-def _never(_message: bytes) -> None:
-    msg = "no executor runs on this node"
-    raise AssertionError(msg)

@@ -17,7 +17,7 @@ class _Writer:
     def __init__(self, participant: Participant, message_class: Any, topic: str, qos: Qos) -> None:
         self._participant = participant
         self._handle: Any = participant.make_writer(message_class, topic, qos)
-        self._pointer = int(self._handle.handle.pointer)
+        self._pointer = int(self._handle.pointer)
         self._lock = threading.Lock()
 
     def send(self, payload: bytes) -> None:
@@ -29,7 +29,7 @@ class _Writer:
         with self._lock:
             handle, self._handle = self._handle, None
         if handle is not None:
-            self._participant.destroy_writer(handle)
+            self._participant.destroy(handle)
 
 
 class Ros2Publisher:

@@ -1,54 +1,51 @@
 """Quality of service between ours and rclpy's, and which offers meet which requests.
 
 DDS announces no history, so the depth of a remote writer is unknown (Fast DDS reports history ``UNKNOWN``, depth 0).
+Our enumerations carry rmw's numbers, as rclpy's inner module does.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from rclpy.duration import Duration, Infinite
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from bridge.hub.qos import Durability, History, Qos, Reliability
 
 UNKNOWN_DEPTH = 10
 """Depth taken for a volatile remote endpoint; a latched one counts as 1, its last message."""
 
-_INFINITE_NS = int(Infinite.nanoseconds)
+_LONGEST_NS = 2**62
+"""DDS's infinite durations come as the largest number; no finite one comes near."""
 
 
-def from_rclpy(profile: QoSProfile) -> Qos:
+def from_rclpy(profile: Mapping[str, Any]) -> Qos:
     """A remote endpoint's QoS as discovery tells it."""
-    best_effort = profile.reliability == ReliabilityPolicy.BEST_EFFORT
-    latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    latched = int(profile["durability"]) == Durability.TRANSIENT_LOCAL
     return Qos(
-        Reliability.BEST_EFFORT if best_effort else Reliability.RELIABLE,
+        Reliability.BEST_EFFORT if int(profile["reliability"]) == Reliability.BEST_EFFORT else Reliability.RELIABLE,
         Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE,
-        History.KEEP_ALL if profile.history == HistoryPolicy.KEEP_ALL else History.KEEP_LAST,
-        profile.depth or (1 if latched else UNKNOWN_DEPTH),
-        _finite(profile.deadline),
-        _finite(profile.lifespan),
+        History.KEEP_ALL if int(profile["history"]) == History.KEEP_ALL else History.KEEP_LAST,
+        int(profile["depth"]) or (1 if latched else UNKNOWN_DEPTH),
+        _finite(profile["deadline"].nanoseconds),
+        _finite(profile["lifespan"].nanoseconds),
     )
 
 
-def _finite(duration: Duration) -> int | None:
-    nanoseconds = int(duration.nanoseconds)
-    return nanoseconds if 0 < nanoseconds < _INFINITE_NS else None
+def _finite(nanoseconds: int) -> int | None:
+    return nanoseconds if 0 < nanoseconds < _LONGEST_NS else None
 
 
-def to_rclpy(qos: Qos) -> QoSProfile:
-    """The profile of an endpoint of our own: always a bounded history, never a deadline that could miss a peer."""
+def to_rclpy(qos: Qos) -> Any:
+    """The inner profile of an endpoint of our own: always a bounded history, never a deadline that misses a peer."""
     profile: Any = QoSProfile
-    made: QoSProfile = profile(
-        reliability=ReliabilityPolicy.BEST_EFFORT
-        if qos.reliability is Reliability.BEST_EFFORT
-        else ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if qos.latched else DurabilityPolicy.VOLATILE,
-        history=HistoryPolicy.KEEP_LAST,
+    return profile(
+        reliability=int(qos.reliability),
+        durability=int(qos.durability),
+        history=int(History.KEEP_LAST),
         depth=max(1, qos.depth),
-    )
-    return made
+    ).get_c_qos_profile()
 
 
 def mismatch(offered: Qos, requested: Qos) -> str:
@@ -58,8 +55,6 @@ def mismatch(offered: Qos, requested: Qos) -> str:
         reasons.append("best effort is offered, reliable is asked for")
     if offered.durability is Durability.VOLATILE and requested.durability is Durability.TRANSIENT_LOCAL:
         reasons.append("volatile is offered, transient local is asked for")
-    if requested.deadline_ns is not None and (
-        offered.deadline_ns is None or offered.deadline_ns > requested.deadline_ns
-    ):
+    if requested.deadline_ns is not None and (offered.deadline_ns or _LONGEST_NS) > requested.deadline_ns:
         reasons.append("a longer deadline is offered than is asked for")
     return " and ".join(reasons)

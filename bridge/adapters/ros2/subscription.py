@@ -164,8 +164,8 @@ class _ClassReader(Reader):
     def __init__(self, owner: Ros2Subscription, reader_class: Class, handle: Any, participant: Participant) -> None:
         self._owner, self._class, self._handle, self._participant = owner, reader_class, handle, participant
         # Held until `destroy`, so that the pointer stays good whatever thread closes the subscription.
-        handle.handle.__enter__()
-        self._pointer = int(handle.handle.pointer)
+        handle.__enter__()
+        self._pointer = int(handle.pointer)
         self._large = False
 
     @property
@@ -193,5 +193,5 @@ class _ClassReader(Reader):
         return True
 
     def destroy(self) -> None:
-        self._handle.handle.__exit__(None, None, None)
-        self._participant.destroy_reader(self._handle)
+        self._handle.__exit__(None, None, None)
+        self._participant.destroy(self._handle)

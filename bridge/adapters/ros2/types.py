@@ -16,7 +16,6 @@ import ctypes
 import re
 import threading
 from ctypes import CFUNCTYPE, Structure, addressof, c_bool, c_char_p, c_size_t, c_uint8, c_uint32, c_void_p
-from importlib import import_module
 from typing import Any
 
 from bridge.messages.errors import MessageTypeError
@@ -66,10 +65,6 @@ class _Hash(Structure):
 
 
 _python = ctypes.pythonapi
-_python.PyCapsule_GetName.argtypes = [ctypes.py_object]
-_python.PyCapsule_GetName.restype = c_char_p
-_python.PyCapsule_GetPointer.argtypes = [ctypes.py_object, c_char_p]
-_python.PyCapsule_GetPointer.restype = c_void_p
 _python.PyCapsule_New.argtypes = [c_void_p, c_char_p, c_void_p]
 _python.PyCapsule_New.restype = ctypes.py_object
 
@@ -78,16 +73,10 @@ class _Lender:
     """The type support whose functions the made ones borrow."""
 
     def __init__(self) -> None:
-        meta: Any = type(import_module("rcl_interfaces.msg").Log)
-        if not hasattr(meta, "__import_type_support__"):
-            raise MessageTypeError(
-                "rcl_interfaces.msg.Log is not ROS 2's: the ros2 worker's path holds ROS 1 packages",
-                "start the worker without PYTHONPATH to ROS 1's dist-packages",
-            )
-        meta.__import_type_support__()
-        capsule = meta._TYPE_SUPPORT
-        self.capsule_name: bytes | None = _python.PyCapsule_GetName(capsule)
-        pointer = _python.PyCapsule_GetPointer(capsule, self.capsule_name)
+        library = ctypes.CDLL("librcl_interfaces__rosidl_typesupport_c.so")
+        lend = library.rosidl_typesupport_c__get_message_type_support_handle__rcl_interfaces__msg__Log
+        lend.argtypes, lend.restype = [], c_void_p
+        pointer = lend()
         self.dispatch = _TypeSupport.from_address(pointer)
         find = _find(self.dispatch.find)
         self.fast_dds = _TypeSupport.from_address(find(pointer, _FAST_DDS))
@@ -164,7 +153,7 @@ class TypeSupports:
             self._lender = _Lender()
         support = _Support(self._lender, name[1], name[2], name[3], bytes.fromhex(digest[1]))
         self._supports.append(support)
-        capsule = _python.PyCapsule_New(support.pointer, self._lender.capsule_name, None)
+        capsule = _python.PyCapsule_New(support.pointer, None, None)
         # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
         converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": capsule, **dict.fromkeys(converters, True)})

@@ -1,0 +1,207 @@
+"""Bytes in both directions between the edge and real rclpy programs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.base import Kind
+from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.messages.errors import ConversionError, MessageTypeError
+from tests.adapters.ros2.conftest import RunningEdge, string, text
+from tests.adapters.ros2.test_graph import marked_profile
+from tests.support.peer import Peer
+from tests.support.wait import until
+
+MARKER = {
+    "ns": "a",
+    "id": 7,
+    "text": "hello",
+    "points": [{"x": 1.0, "y": 2.0, "z": 3.0}],
+    "scale": {"x": 0.5, "y": 0.0, "z": 0.25},
+}
+
+
+def test_from_ros2(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer()
+    publisher = native.advertise("/m/in", "std_msgs/String")
+    inbox = edge.subscribe("/m/in", "std_msgs/msg/String")
+    (endpoint,) = edge.seen("/m/in", Kind.PUBLISHER)
+
+    def delivered() -> bool:
+        native.publish(publisher, {"data": "grüß"})
+        return bool(inbox.messages)
+
+    until(delivered, "a message from the native publisher")
+    payload, source, time_ns = inbox.messages[0]
+    assert text(payload) == "grüß"
+    assert source == endpoint.id
+    assert time_ns is not None
+
+
+def test_through_the_edge_without_its_message_package(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    """Type support is made from name and hash, so a type needs no package here."""
+    native = peer()
+    publisher = native.advertise("/m/relay_in", "visualization_msgs/Marker")
+    subscription = native.subscribe("/m/relay_out", "visualization_msgs/Marker")
+    inbox = edge.subscribe("/m/relay_in", "visualization_msgs/msg/Marker")
+    ours = edge.edge.advertise("/m/relay_out", edge.type("visualization_msgs/msg/Marker"), Qos())
+    convert = edge.conversion("visualization_msgs/msg/Marker").convert
+    assert convert is not None
+
+    def heard() -> list[dict[str, Any]]:
+        native.publish(publisher, MARKER)
+        for payload, _, _ in inbox.messages:
+            ours.send(convert(payload), "hub")
+        return native.wait(subscription, 1, 0.1)
+
+    message = until(heard, "the native subscription to hear us")[0]
+    assert {key: message[key] for key in MARKER} == MARKER
+    assert "visualization_msgs" not in sys.modules
+
+
+@pytest.mark.parametrize("size", [1_000_000, 6_000_000])
+def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int) -> None:
+    native = peer()
+    subscription = native.subscribe("/m/large_out", "std_msgs/String")
+    publisher = native.advertise("/m/large_in", "std_msgs/String")
+    inbox = edge.subscribe("/m/large_in", "std_msgs/msg/String")
+    ours = edge.edge.advertise("/m/large_out", edge.type("std_msgs/msg/String"), Qos())
+    payload = string("x" * size)
+
+    def both() -> bool:
+        native.publish(publisher, {"data": "y" * size})
+        ours.send(payload, "hub")
+        return bool(inbox.messages) and bool(native.wait(subscription, 1, 0.5))
+
+    until(both, "large messages both ways", 20)
+    assert len(inbox.messages[0][0]) == size + 9
+    assert native.wait(subscription, 1)[0]["data"] == "x" * size
+
+
+def test_best_effort_and_reliable_publishers_of_one_topic_are_both_heard(
+    edge: RunningEdge, peer: Callable[..., Peer]
+) -> None:
+    native = peer()
+    sensor = native.advertise("/m/mixed", "std_msgs/String", best_effort=True)
+    edge.seen("/m/mixed", Kind.PUBLISHER)
+    inbox = edge.subscribe("/m/mixed", "std_msgs/msg/String", Qos(Reliability.BEST_EFFORT))
+    reliable = native.advertise("/m/mixed", "std_msgs/String")
+    latched = native.advertise("/m/mixed", "std_msgs/String", latched=True)
+    edge.seen("/m/mixed", Kind.PUBLISHER, 3)
+
+    def all_heard() -> bool:
+        for number, endpoint in enumerate((sensor, reliable, latched)):
+            native.publish(endpoint, {"data": str(number)})
+        return len({source for _, source, _ in inbox.messages}) == 3
+
+    until(all_heard, "messages of all three publishers")
+
+
+def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer()
+    publishers = [
+        native.advertise("/m/once", "std_msgs/String", **qos)
+        for qos in ({"best_effort": True}, {}, {"latched": True, "depth": 30})
+    ]
+    edge.seen("/m/once", Kind.PUBLISHER, 3)
+    inbox = edge.subscribe("/m/once", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
+
+    def warm() -> bool:
+        for endpoint in publishers:
+            native.publish(endpoint, {"data": "warm"})
+        return len({source for _, source, _ in inbox.messages}) == 3
+
+    until(warm, "all three publishers to be heard")
+    for number in range(20):
+        for endpoint in publishers:
+            native.publish(endpoint, {"data": f"{endpoint}-{number}"})
+    expected = sorted(f"{endpoint}-{number}" for endpoint in publishers for number in range(20))
+
+    def received() -> list[str]:
+        return [t for t in inbox.texts() if t != "warm"]
+
+    until(lambda: len(received()) >= len(expected), "all messages")
+    assert received() == expected
+
+
+def test_what_another_midspan_publishes_is_not_delivered(
+    edge: RunningEdge, peer: Callable[..., Peer], tmp_path: Path
+) -> None:
+    profile, _ = marked_profile(tmp_path)
+    other = peer("innocent_name", FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
+    native = peer("midspan_native")
+    endpoints = [(p, p.advertise("/m/guard", "std_msgs/String", latched=True)) for p in (other, native)]
+    own = edge.edge.advertise("/m/guard", edge.type("std_msgs/msg/String"), Qos(durability=Durability.TRANSIENT_LOCAL))
+    inbox = edge.subscribe("/m/guard", "std_msgs/msg/String", Qos(durability=Durability.TRANSIENT_LOCAL))
+    edge.seen("/m/guard", Kind.PUBLISHER, 2)
+
+    def native_heard() -> bool:
+        own.send(string("own"), "hub")
+        for program, endpoint in endpoints:
+            program.publish(endpoint, {"data": "other" if program is other else "native"})
+        return len(inbox.messages) >= 3
+
+    until(native_heard, "three native messages")
+    texts = {text(payload) for payload, _, _ in inbox.messages}
+    assert texts == {"native"}
+
+
+def test_junk_is_refused_before_it_is_published(edge: RunningEdge) -> None:
+    convert = edge.conversion("geometry_msgs/msg/Twist").convert
+    assert convert is not None
+    for junk in (b"", b"\0\1\0\0", b"\0\1\0\0" + bytes(44)):
+        with pytest.raises(ConversionError):
+            convert(junk)
+
+
+def test_hash_that_differs_is_told(edge: RunningEdge) -> None:
+    with pytest.raises(MessageTypeError, match="RIHS01_0000") as caught:
+        edge.edge.from_hub("std_msgs/msg/String", "RIHS01_" + "0" * 64)
+    assert caught.value.cure
+
+
+def test_subscription_that_cannot_hear_us_is_reported(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer("late_map_user")
+    native.subscribe("/m/deaf", "std_msgs/String", latched=True)
+    native.subscribe("/m/hears", "std_msgs/String")
+    edge.edge.advertise("/m/deaf", edge.type("std_msgs/msg/String"), Qos(Reliability.BEST_EFFORT))
+    edge.edge.advertise("/m/hears", edge.type("std_msgs/msg/String"), Qos())
+    edge.seen("/m/deaf", Kind.SUBSCRIPTION)
+    edge.seen("/m/hears", Kind.SUBSCRIPTION)
+    (warning,) = edge.edge.warnings()
+    assert "/m/deaf" in warning
+    assert "/late_map_user" in warning
+    assert "best effort" in warning
+    assert "volatile" in warning
+
+
+def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer()
+    publisher = native.advertise("/m/closed", "std_msgs/String")
+    closed: list[bytes] = []
+    subscription = edge.edge.subscribe(
+        "/m/closed", edge.type("std_msgs/msg/String"), Qos(), lambda payload, _s, _t: closed.append(payload)
+    )
+    inbox = edge.subscribe("/m/closed", "std_msgs/msg/String")
+    edge.seen("/m/closed", Kind.PUBLISHER)
+
+    def delivered() -> bool:
+        native.publish(publisher, {"data": "a"})
+        return bool(closed) and bool(inbox.messages)
+
+    until(delivered, "messages on both")
+    subscription.close()
+    subscription.close()
+    count, others = len(closed), len(inbox.messages)
+
+    def more() -> bool:
+        native.publish(publisher, {"data": "b"})
+        return len(inbox.messages) > others + 3
+
+    until(more, "messages on the other one")
+    assert len(closed) == count
