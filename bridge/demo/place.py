@@ -1,0 +1,162 @@
+"""A place where one run of the demo meets nobody else: free ports, a free ROS domain, a folder of its own."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import socket
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+import bridge
+from bridge.config.load import load
+from bridge.config.model import Config
+
+MARK = "MIDSPAN_DEMO"
+"""Variable in the environment of all processes of one run; its value is the run's folder."""
+
+_ROOT = Path(bridge.__file__).parents[1]
+CONFIG = _ROOT / "configs" / "demo.yaml"
+
+_NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
+_NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
+"""Settings of the user's own networks, which the demo does not touch."""
+
+_DOMAINS = range(10, 101)
+_PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
+
+
+class Place:
+    """Ports, domain, folder and configuration of one run.
+
+    Args:
+        template: configuration file whose rules the demo's daemon runs with; what names the place is replaced.
+    """
+
+    def __init__(self, template: Path | None) -> None:
+        self._hold: socket.socket | None = None
+        self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-"))
+        try:
+            self.master_port, self.router_port = _free_ports(2)
+            self._hold, self.domain = _hold_domain()
+            # a package alone on a path of its own: what else lies beside it must not reach the system's Python
+            self.system_path = self.folder / "system"
+            self.system_path.mkdir()
+            (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
+            self.config_file = self.folder / "demo.yaml"
+            self.config = self._write_config(template)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def master(self) -> str:
+        """URI of the ROS master."""
+        return f"http://127.0.0.1:{self.master_port}/"
+
+    def environment(self) -> dict[str, str]:
+        """Environment of the daemon and of the programs that run on Midspan's own Python."""
+        own = {
+            k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_"))
+        }
+        return own | {
+            MARK: str(self.folder),
+            "ROS_MASTER_URI": self.master,
+            "ROS_IP": "127.0.0.1",
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_HOME": str(self.folder / "ros"),
+            "ROS_LOG_DIR": str(self.folder / "log"),
+            "PYTHONUNBUFFERED": "1",
+            # where Midspan runs from a checkout that is not installed
+            "PYTHONPATH": os.pathsep.join(filter(None, [own.get("PYTHONPATH"), str(_ROOT)])),
+        }
+
+    def ros1_environment(self, packages: Path) -> dict[str, str]:
+        """Environment of roscore and of the ROS 1 program, which run on the system's Python; ``packages``: ROS 1's."""
+        drop = ("LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "VIRTUAL_ENV", "PYTHONHOME", "ROS_DOMAIN_ID")
+        env = {k: v for k, v in self.environment().items() if k not in drop}
+        env["PATH"] = os.pathsep.join([str(packages.parents[2] / "bin"), "/usr/bin", "/bin"])
+        paths = [self.system_path] if str(packages).startswith("/usr/") else [self.system_path, packages]
+        env["PYTHONPATH"] = os.pathsep.join(map(str, paths))
+        return env
+
+    def close(self) -> None:
+        """Give everything back."""
+        if self._hold is not None:
+            self._hold.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _write_config(self, template: Path | None) -> Config:
+        base: dict[str, Any] = {}
+        if template is not None:
+            load(template)  # its mistakes are told with file and line
+            base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
+        own = {
+            "name": f"demo-{os.getpid()}",
+            "state": str(self.folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{self.router_port}", "domain": self.domain, "router": True},
+            "ros1": {"enabled": True, "master": self.master},
+            "ros2": {"enabled": True, "domain": self.domain},
+        }
+        self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
+        return load(self.config_file)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        merged[key] = _merged(below or {}, value) if isinstance(value, Mapping) else value
+    return merged
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        for sock in sockets:
+            sock.bind(("127.0.0.1", 0))
+        return [sock.getsockname()[1] for sock in sockets]
+    finally:
+        for sock in sockets:
+            sock.close()
+
+
+def _hold_domain() -> tuple[socket.socket, int]:
+    """A ROS domain that nobody uses, held by a socket on the last of its ports, which participants do not reach."""
+    domains = list(_DOMAINS)
+    random.shuffle(domains)
+    for domain in domains:
+        first = _PORT_BASE + _DOMAIN_GAIN * domain
+        if not _is_free(first) or not _is_free(first + 10):  # discovery: everybody's, the first participant's
+            continue
+        hold = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            hold.bind(("127.0.0.1", first + _DOMAIN_GAIN - 1))
+        except OSError:
+            hold.close()
+            continue
+        return hold, domain
+    msg = f"no free ROS domain between {_DOMAINS.start} and {_DOMAINS.stop - 1} on this machine"
+    raise RuntimeError(msg)
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        try:
+            sock.bind(("", port))
+        except OSError:
+            return False
+    return True

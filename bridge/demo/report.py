@@ -1,0 +1,102 @@
+"""How a program of the demo tells what it heard: JSON lines on its output, and commands as JSON lines on its input.
+
+Standard library only, since the ROS 1 program runs on the system's Python. The end of the input ends the program, so
+that none is left when the demo dies.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any
+
+EVERY = 0.5
+"""Seconds between two reports."""
+
+_REMEMBERED = 2000
+
+
+class Ear:
+    """What a program heard on one topic."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.repeated = 0
+        self.detail = ""
+        self._lock = threading.Lock()
+        self._keys: OrderedDict[Hashable, None] = OrderedDict()
+
+    def hear(self, key: Hashable, detail: str) -> None:
+        """One message came.
+
+        Args:
+            key: tells messages apart; one that comes twice was duplicated on its way. None where nothing can tell.
+            detail: what it was, for people and for the checks.
+        """
+        with self._lock:
+            self.count += 1
+            self.detail = detail
+            if key is None:
+                return
+            if key in self._keys:
+                self.repeated += 1
+            self._keys[key] = None
+            if len(self._keys) > _REMEMBERED:
+                self._keys.popitem(last=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """As it stands in a report."""
+        with self._lock:
+            return {"count": self.count, "repeated": self.repeated, "detail": self.detail}
+
+
+class Voice:
+    """One program's ears and its line to the demo.
+
+    Args:
+        more: what else stands in each report.
+    """
+
+    def __init__(self, more: Callable[[], dict[str, Any]] | None = None) -> None:
+        self._ears: dict[str, Ear] = {}
+        self._more = more
+        self._write_lock = threading.Lock()
+        self._ended = threading.Event()
+
+    def ear(self, topic: str) -> Ear:
+        """The ear for a topic."""
+        return self._ears.setdefault(topic, Ear())
+
+    def heard(self, topic: str) -> int:
+        """Messages heard on a topic so far."""
+        return self._ears[topic].count if topic in self._ears else 0
+
+    def tell(self, event: str, **values: Any) -> None:
+        """Write one line."""
+        with self._write_lock:
+            sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+            sys.stdout.flush()
+
+    def attend(self, commands: dict[str, Callable[..., None]]) -> None:
+        """Report every while and obey commands until the input ends; each command runs on this thread."""
+        reporter = threading.Thread(target=self._report, name="report", daemon=True)
+        reporter.start()
+        try:
+            for line in sys.stdin:
+                command = json.loads(line)
+                commands[command.pop("do")](**command)
+        finally:
+            self._ended.set()
+            reporter.join(2.0)
+
+    def _report(self) -> None:
+        while not self._ended.is_set():
+            more = self._more() if self._more is not None else {}
+            try:
+                self.tell("report", heard={topic: ear.as_dict() for topic, ear in list(self._ears.items())}, **more)
+            except OSError:
+                return  # nobody reads any more
+            self._ended.wait(EVERY)
