@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from bridge.interfaces.folders import read_package_folder
+
 DEFINITIONS = Path(__file__).parent / "definitions"
 """Folder with their definitions; its README says where the field lists come from."""
 
@@ -17,10 +19,4 @@ def standing_packages() -> tuple[str, ...]:
 
 def standing_files(package: str) -> dict[str, str]:
     """A standing package's definitions by path, as `bridge.interfaces.builder.build` takes them; {} for any other."""
-    return read_folder(DEFINITIONS / package) if package in standing_packages() else {}
-
-
-def read_folder(folder: Path) -> dict[str, str]:
-    """All definitions of one package's folder, text by path (``msg/Name.msg``); {} where there are none."""
-    found = (file for form in ("msg", "srv", "action") for file in sorted(folder.glob(f"{form}/*.{form}")))
-    return {file.relative_to(folder).as_posix(): file.read_text(encoding="utf-8") for file in found}
+    return read_package_folder(DEFINITIONS / package) if package in standing_packages() else {}

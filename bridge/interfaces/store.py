@@ -61,6 +61,11 @@ class Store:
         """Where a built package is, or will be."""
         return self.folder / "packages" / f"{name}-{key}"
 
+    def packages(self) -> list[Path]:
+        """All built packages, whole ones only."""
+        folder = self.folder / "packages"
+        return sorted(entry for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
+
     @contextmanager
     def adding(self, final: Path) -> Iterator[Path | None]:
         """Hold a prefix's lock and offer a folder to fill, which becomes ``final`` as a whole or not at all.

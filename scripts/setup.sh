@@ -1,0 +1,148 @@
+#!/bin/sh
+# Makes this checkout ready: system packages, virtual environment, locked dependencies, ROS 2 message packages.
+# What is there already is left alone, so a second run takes a second. Knows these variables:
+#   PYTHON         the Python to make the virtual environment with (3.11 or newer)
+#   CI=true        whatever cannot be had is an error
+#   MIDSPAN_CACHE  where built message packages go; default ~/.cache/midspan/interfaces
+# Where /opt/ros/jazzy is sourced, its packages are used and no ROS 2 wheels are installed.
+set -eu
+cd "$(dirname "$0")/.."
+
+tools="g++ git make python3-dev python3-venv"
+ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-geometry-msgs python3-map-msgs
+    python3-move-base-msgs python3-nav-msgs python3-rosgraph-msgs python3-roslaunch python3-rosnode python3-rosparam
+    python3-rospy python3-rosservice python3-rostopic python3-sensor-msgs python3-shape-msgs python3-std-msgs
+    python3-std-srvs python3-stereo-msgs python3-tf2-msgs python3-trajectory-msgs python3-visualization-msgs"
+if [ "${CI:-}" = true ]; then
+    tools="$tools systemd"
+fi
+
+say() {
+    printf 'setup: %s\n' "$*" >&2
+}
+
+fail() {
+    say "$*"
+    exit 1
+}
+
+# Something optional is missing: an error in CI, elsewhere only said.
+lacking() {
+    if [ "${CI:-}" = true ]; then
+        fail "$*"
+    fi
+    say "$*"
+}
+
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        env "$@"
+    elif [ -t 0 ]; then
+        sudo env "$@"
+    else
+        sudo -n env "$@"
+    fi
+}
+
+# Of the named Debian packages, those that are not installed.
+not_installed() {
+    installed=" $(dpkg-query -W -f '${db:Status-Status}:${Package}\n' "$@" 2>/dev/null | sed -n 's/^installed://p' | tr '\n' ' ')"
+    for package in "$@"; do
+        case "$installed" in
+            *" $package "*) ;;
+            *) printf '%s ' "$package" ;;
+        esac
+    done
+}
+
+system_packages() {
+    if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
+        lacking "no apt on this system: ROS 1 (rospy) cannot be installed here; the rest goes on without it"
+        return
+    fi
+    # shellcheck disable=SC2086  # lists of words
+    missing=$(not_installed $tools $ros1)
+    if [ -z "$missing" ]; then
+        return
+    fi
+    if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
+        lacking "neither root nor sudo: ask for: apt-get install $missing"
+        return
+    fi
+    say "installing with apt: $missing"
+    as_root DEBIAN_FRONTEND=noninteractive apt-get -q update >&2 || lacking "apt-get update failed"
+    known=""
+    unknown=""
+    for package in $missing; do
+        if apt-cache show "$package" >/dev/null 2>&1; then
+            known="$known $package"
+        else
+            unknown="$unknown $package"
+        fi
+    done
+    if [ -n "$unknown" ]; then
+        lacking "not in this system's archive:$unknown"
+    fi
+    # shellcheck disable=SC2086
+    if [ -n "$known" ] && ! as_root DEBIAN_FRONTEND=noninteractive \
+        apt-get -q install -y --no-install-recommends $known >&2; then
+        lacking "apt-get could not install:$known"
+    fi
+}
+
+find_python() {
+    for python in ${PYTHON:+"$PYTHON"} /usr/bin/python3 python3 python3.13 python3.12 python3.11; do
+        if "$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then
+            command -v "$python"
+            return
+        fi
+    done
+    fail "no Python 3.11 or newer with venv (on Debian: apt install python3-venv); name one in PYTHON"
+}
+
+# wheels, or the sourced installation
+ros2_source() {
+    if [ "${ROS_DISTRO:-}" = jazzy ] && [ -n "${AMENT_PREFIX_PATH:-}" ]; then
+        printf 'sourced %s' "$AMENT_PREFIX_PATH"
+    else
+        printf 'wheels'
+    fi
+}
+
+pip_install() {
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$@" >&2
+}
+
+# The virtual environment with everything locked in it; remembers in a file what it was made from.
+environment() {
+    source=$(ros2_source)
+    made_for="$PWD $source"
+    made_from="$made_for $(cat pyproject.toml requirements.lock requirements-ros2.lock | sha256sum)"
+    if [ -x .venv/bin/midspan ] && [ "$made_from" = "$(cat .venv/midspan-setup 2>/dev/null)" ]; then
+        return
+    fi
+    rm -f .venv/midspan-setup
+    if ! [ "$made_for" = "$(cat .venv/midspan-place 2>/dev/null)" ] || ! .venv/bin/python -c '' 2>/dev/null; then
+        python=$(find_python)
+        say "making .venv with $python ($("$python" -V))"
+        "$python" -m venv --clear .venv
+        printf '%s\n' "$made_for" >.venv/midspan-place
+    fi
+    say "installing the locked dependencies"
+    pip_install -r requirements.lock
+    if [ "$source" != wheels ]; then
+        say "using the ROS 2 that is sourced ($AMENT_PREFIX_PATH)"
+    elif ! pip_install -r requirements-ros2.lock; then
+        lacking "the ROS 2 wheels cannot be installed here (see above): ROS 2 (DDS) is left out; or source /opt/ros/jazzy"
+        made_from=""
+    fi
+    # compat: one line in a .pth file, which also sees packages that are added later
+    pip_install --no-build-isolation --config-settings editable_mode=compat --editable .
+    printf '%s\n' "$made_from" >.venv/midspan-setup
+}
+
+system_packages
+environment
+if .venv/bin/python -c 'import rclpy' 2>/dev/null; then
+    .venv/bin/midspan interfaces build >/dev/null
+fi
