@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
+import signal
 import sys
 import threading
 from array import array
@@ -126,6 +128,30 @@ def qos(params: dict[str, Any]) -> Any:
     return profile
 
 
+class EndedError(Exception):
+    """SIGTERM came; what is in shared memory is still to be given back."""
+
+
+def end(_number: int, _frame: Any) -> None:
+    """The handler of SIGTERM."""
+    raise EndedError
+
+
+def obey(peer: Peer) -> None:
+    """Carry out commands until ``exit`` or the end of the input."""
+    for line in sys.stdin:
+        params = json.loads(line)
+        if params["do"] == "exit":
+            break
+        try:
+            answer = {"ok": True, **getattr(peer, params["do"])(params)}
+        except EndedError:
+            raise
+        except Exception as err:
+            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
+        print(json.dumps(answer), flush=True)
+
+
 def main() -> None:
     """Obey the commands on standard input until it ends."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -134,16 +160,9 @@ def main() -> None:
     executor.add_node(node)
     spinner = threading.Thread(target=executor.spin, daemon=True)
     spinner.start()
-    peer = Peer(node)
-    for line in sys.stdin:
-        params = json.loads(line)
-        if params["do"] == "exit":
-            break
-        try:
-            answer = {"ok": True, **getattr(peer, params["do"])(params)}
-        except Exception as err:
-            answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        print(json.dumps(answer), flush=True)
+    with contextlib.suppress(EndedError):
+        signal.signal(signal.SIGTERM, end)
+        obey(Peer(node))
     executor.shutdown()
     spinner.join(2)
     node.destroy_node()

@@ -63,7 +63,7 @@ class Ros2Edge(Edge):
         self._listener = listener
         removed = shm.clean()
         if removed:
-            _log.info("removed %d shared-memory files of dead ROS 2 processes", removed)
+            _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
         profile = use_profile(self._config, self._state)
         self._prefix = profile.prefix
         self._adapts = (

@@ -27,6 +27,9 @@ from bridge.messages.errors import MessageError
 LATCHED_DEPTH = 128
 """Depth of a reader of latched publishers: KEEP_LAST counts over all of a reader's writers, and they come at once."""
 
+VOLATILE_DEPTH = 32
+"""Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
+
 _LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LOG_SECONDS = 10.0
 
@@ -89,12 +92,12 @@ class Ros2Subscription:
                 self._loop.remove(self._readers.pop(old))
 
     def _open(self, reader_class: Class) -> _ClassReader:
-        depth = max(self.qos.depth, LATCHED_DEPTH) if reader_class.durability is Durability.TRANSIENT_LOCAL else 0
+        least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
         qos = replace(
             self.qos,
             reliability=reader_class.reliability,
             durability=reader_class.durability,
-            depth=max(depth, self.qos.depth),
+            depth=max(least, self.qos.depth),
         )
         handle = self._participant.make_reader(self._message_class, self.topic, qos)
         reader = _ClassReader(self, reader_class, handle, self._participant)
