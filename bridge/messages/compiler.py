@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from bridge.messages.definition import (
     PRIMITIVE_SIZES,
     STRING_TYPES,
+    STRUCT_FORMATS,
     TIME_TYPES,
     DefaultValue,
     Definition,
@@ -32,22 +33,6 @@ Match = Callable[[str, str], FieldPaths]
 
 MAX_DEFAULT = 16 << 20
 """Most bytes of default values that one message is given."""
-
-_FORMATS = {
-    "bool": "?",
-    "byte": "B",
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
 
 
 def compile_pair(source: Schema, target: Schema, match: Match) -> Program:
@@ -263,7 +248,7 @@ class _Compiler:
 
     def _number(self, base: str, default: DefaultValue | None, at: Path) -> bytes:
         try:
-            return struct.pack("<" + _FORMATS[base], default or 0)
+            return struct.pack("<" + STRUCT_FORMATS[base], default or 0)
         except struct.error:
             msg = f"{self.target.name} cannot be made: the default {default!r} of {_name(at)} is no {base}"
             raise MessageTypeError(msg) from None

@@ -45,6 +45,23 @@ PRIMITIVE_SIZES: Mapping[str, int] = {
 }
 """Bytes of each primitive on both wires; ROS 1's ``byte`` is an int8, ``char`` a uint8, ROS 2's ``byte`` an octet."""
 
+STRUCT_FORMATS: Mapping[str, str] = {
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""Each ROS 2 primitive as the module `struct` names it."""
+
 TIME_TYPES: Mapping[str, str] = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
