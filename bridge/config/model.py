@@ -6,8 +6,9 @@ import re
 import socket
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 SideName = Literal["ros1", "ros2", "yarp", "zenoh"]
 Enabled = Literal["auto", True, False]
@@ -17,6 +18,42 @@ class Section(BaseModel):
     """Base of all sections: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _zenoh_endpoint(value: str) -> str:
+    """Where zenoh listens or connects: ``protocol/address``."""
+    if not re.fullmatch(r"[a-z][a-z0-9_-]*/\S+", value):
+        msg = f"{value!r} is not a zenoh endpoint; give protocol and address, for example tcp/127.0.0.1:7447"
+        raise ValueError(msg)
+    return value
+
+
+def _master_uri(value: str) -> str:
+    parts = urlsplit(value)
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        msg = f"{value!r} is not a master's URI; give for example http://robot:11311"
+        raise ValueError(msg)
+    try:
+        port = parts.port
+    except ValueError:
+        port = None
+    if port is None:
+        msg = f"{value!r} has no valid port; a master's is 11311 by default, for example http://{parts.hostname}:11311"
+        raise ValueError(msg)
+    return value
+
+
+def _node_name(value: str) -> str:
+    """A node's base name that ROS 1 and ROS 2 both take."""
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", value):
+        msg = f"{value!r} is not a node name; use letters, digits and underscores, a letter first"
+        raise ValueError(msg)
+    return value
+
+
+ZenohEndpoint = Annotated[str, AfterValidator(_zenoh_endpoint)]
+MasterUri = Annotated[str, AfterValidator(_master_uri)]
+NodeName = Annotated[str, AfterValidator(_node_name)]
 
 
 class QosOverride(Section):
@@ -105,14 +142,14 @@ class RoutingSection(Section):
     private: bool = Field(
         default=True, description="Keep back what is private to a side (rosout, parameter events and the like)."
     )
-    rules: tuple[Rule, ...] = Field(default=(), description="Rules; see each key.")
+    rules: tuple[Rule, ...] = Field(default=(), description="The rules; see below.")
 
 
 class HubSection(Section):
     """The hub: one ROS 2 graph on zenoh in rmw_zenoh's format."""
 
     domain: int = Field(default=0, ge=0, le=232, description="ROS domain id of the hub, the first part of each key.")
-    listen: str = Field(default="tcp/127.0.0.1:7447", description="Where the daemon's own router listens.")
+    listen: ZenohEndpoint = Field(default="tcp/127.0.0.1:7447", description="Where the daemon's own router listens.")
     router: Enabled = Field(
         default="auto",
         description="Whether the daemon runs a router itself; `auto`: unless one answers at `listen` already.",
@@ -134,14 +171,14 @@ class Ros1Section(Section):
     """The ROS 1 side."""
 
     enabled: Enabled = Field(default="auto", description="`auto`: where rospy is installed.")
-    master: str | None = Field(
+    master: MasterUri | None = Field(
         default=None, description="ROS master URI; default $ROS_MASTER_URI or http://localhost:11311."
     )
     ip: str | None = Field(default=None, description="Address that this machine gives to ROS 1 peers (ROS_IP).")
     hostname: str | None = Field(
         default=None, description="Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME)."
     )
-    node: str = Field(default="midspan", description="Node name on the ROS 1 graph.")
+    node: NodeName = Field(default="midspan", description="Node name on the ROS 1 graph.")
     poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the master's graph.")
     packages: Path | None = Field(
         default=None, description="Folder with the ROS 1 Python packages; default the system's dist-packages."
@@ -155,7 +192,7 @@ class Ros2Section(Section):
     domain: int | None = Field(
         default=None, ge=0, le=232, description="ROS_DOMAIN_ID; default the environment's, else 0."
     )
-    node: str = Field(default="midspan", description="Node name on the ROS 2 graph.")
+    node: NodeName = Field(default="midspan", description="Node name on the ROS 2 graph.")
     transport: Literal["auto", "shared_memory", "udp"] = Field(
         default="auto",
         description="Fast DDS transports. `auto`: shared memory beside UDP, UDP alone where /dev/shm is too small or"

@@ -1,0 +1,70 @@
+"""What is generated from the model is right and up to date; the shipped configurations are valid."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from bridge.config import Config, generate, load, loads
+from bridge.config.hints import all_keys
+from bridge.config.model import QosOverride, Rule
+
+ROOT = Path(__file__).parents[2]
+CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))
+
+
+def test_example_has_every_key_and_loads_to_the_defaults() -> None:
+    text = generate.example()
+    assert loads(text) == Config()
+    data: dict[str, Any] = YAML(typ="safe").load(text)
+    for path in all_keys(Config):
+        part: Any = data
+        if path == ("name",):
+            assert "\n# name:\n" in text  # the machine's: in the file it would be this machine's everywhere
+            continue
+        if path[:2] == ("routing", "rules") and len(path) > 2:
+            continue
+        for key in path:
+            part = part[key]
+    for model in (Rule, QosOverride):
+        for name, info in model.model_fields.items():
+            assert f"- {info.alias or name} (" in text
+    assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
+
+
+def test_every_key_is_described() -> None:
+    def check(model: Any) -> None:
+        for name, info in model.model_fields.items():
+            assert info.description, f"{model.__name__}.{name}"
+
+    for model in (Config, Rule, QosOverride, *(type(getattr(Config(), name)) for name in Config.model_fields)):
+        if hasattr(model, "model_fields"):
+            check(model)
+
+
+@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.name)
+def test_shipped_configurations_are_valid(file: Path) -> None:
+    load(file)
+    assert file.read_text().startswith(generate.editor_comment())
+
+
+def test_default_configuration_changes_no_default() -> None:
+    assert load(ROOT / "configs" / "default.yaml") == Config()
+
+
+def test_schema_is_up_to_date_and_names_the_keys_of_the_file() -> None:
+    text = (ROOT / "configs" / generate.SCHEMA_FILE).read_text()
+    assert text == generate.schema(), "midspan config schema > configs/midspan.schema.json"
+    schema = json.loads(text)
+    assert schema["additionalProperties"] is False
+    assert "from" in schema["$defs"]["Rule"]["properties"]
+
+
+def test_reference_page_is_up_to_date() -> None:
+    assert (ROOT / "docs" / "config.md").read_text() == generate.reference(), (
+        "midspan config reference > docs/config.md"
+    )

@@ -1,0 +1,213 @@
+"""Loading the configuration: what is accepted, and every problem's place and cure."""
+
+# ruff: noqa: E501  expected lines are written as they appear
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.config import Config, ConfigError, find, load, loads
+from bridge.config.document import MAX_BYTES
+from bridge.daemon.protocol import NewConfig, decode_command, encode_command
+
+
+def problems(text: str, file: Path = Path("midspan.yaml")) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        loads(text, file)
+    return str(caught.value).splitlines()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# nothing\n", "---\n", "hub:\n", "{}", "hub: {}\nrouting:\n  rules:\n", "routing: {rules: []}"]
+)
+def test_empty_is_the_defaults(text: str) -> None:
+    assert loads(text) == Config()
+
+
+def test_values_are_taken() -> None:
+    config = loads(
+        """
+        name: robot1
+        hub: {domain: 7, listen: "tcp/127.0.0.1:1234", router: false, zenoh: {mode: client}}
+        ros1: {enabled: true, master: "http://robot:11311", poll: 1}
+        routing:
+          default: deny
+          rules:
+            - {topic: /scan, from: ros1, rate: 5, priority: stream}
+            - {regex: '/cam(\\d+)', rename: '/camera\\1', qos: {reliability: best_effort}}
+        """
+    )
+    assert config.name == "robot1"
+    assert (config.hub.domain, config.hub.router, config.hub.zenoh) == (7, False, {"mode": "client"})
+    assert config.ros1.enabled is True
+    assert config.routing.default == "deny"
+    assert config.routing.rules[0].from_ == "ros1"
+    assert config.routing.rules[1].rename == "/camera\\1"
+    assert config.routing.rules[1].qos.reliability == "best_effort"
+
+
+# text, the whole lines
+CASES = [
+    ("hubb: {}", ["1:1: hubb: unknown key 'hubb'; did you mean 'hub'?"]),
+    (
+        "routing:\n  rules:\n    - tops: /scan",
+        ["3:7: routing.rules[0].tops: unknown key 'tops'; did you mean 'topic'?"],
+    ),
+    ("listen: tcp/a:1", ["1:1: listen: unknown key 'listen' here; did you mean 'hub.listen'?"]),
+    (
+        "log: {xyzzy: 1}",
+        ["1:7: log.xyzzy: unknown key 'xyzzy'; known here: level"],
+    ),
+    (
+        "log: {level: warn}",
+        ["1:14: log.level: 'warn' is not one of debug, info, warning, error; did you mean 'warning'?"],
+    ),
+    ("ros1: {enabled: yes}", ["1:17: ros1.enabled: 'yes' is not one of auto, true, false"]),
+    ("hub:\n  domain: 1\n  domain: 2", ["3:3: hub.domain: given twice (first in line 2); keep one"]),
+    ("hub: 3", ["1:6: hub: must be a section with keys, not 3"]),
+    ("- a\n- b", ["1:1: must be a map of sections, for example 'hub:'"]),
+    ("hub: {zenoh: 3}", ["1:14: hub.zenoh: 3 is not a map, or 3 is not a path"]),
+    ("types: {folders: /a}", ["1:18: types.folders: '/a' is not a list"]),
+    ("hub: {domain: 300}", ["1:15: hub.domain: input should be less than or equal to 232, not 300"]),
+    ("name: a b", ["1:7: name: 'a b' does not match ^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$"]),
+    (
+        "hub: {listen: 'localhost:7447'}",
+        [
+            (
+                "1:15: hub.listen: 'localhost:7447' is not a zenoh endpoint; give protocol and"
+                " address, for example tcp/127.0.0.1:7447"
+            )
+        ],
+    ),
+    (
+        "ros1: {master: robot}",
+        ["1:16: ros1.master: 'robot' is not a master's URI; give for example http://robot:11311"],
+    ),
+    (
+        "ros1: {master: 'http://robot'}",
+        [
+            (
+                "1:16: ros1.master: 'http://robot' has no valid port; a master's is 11311 by"
+                " default, for example http://robot:11311"
+            )
+        ],
+    ),
+    (
+        "ros1: {node: /a}",
+        ["1:14: ros1.node: '/a' is not a node name; use letters, digits and underscores, a letter first"],
+    ),
+    (
+        "routing: {rules: [{topic: /a, regex: /b}]}",
+        [("1:19: routing.rules[0]: give either 'topic' (a glob) or 'regex', not both")],
+    ),
+    (
+        "routing: {rules: [{regex: '('}]}",
+        [("1:27: routing.rules[0].regex: not a regular expression: missing ), unterminated subpattern at position 0")],
+    ),
+    (
+        "hub: {domain: 1",
+        ["1:16: not valid YAML: while parsing a flow mapping expected ',' or '}', but got '<stream end>'"],
+    ),
+    ("hub: {<<: {domain: 1}}", ["1:7: hub: merge keys (<<) are not supported"]),
+    ("{[1]: 2}", ["1:2: a key must be text"]),
+    (
+        "name: !!python/name:os.system x",
+        [("1:7: name: the tag tag:yaml.org,2002:python/name:os.system is not supported; give plain data")],
+    ),
+    ("hub: {zenoh: /no/such/file}", ["1:14: hub.zenoh: no such file or folder: /no/such/file"]),
+    ("types: {folders: [/no/such]}", ["1:19: types.folders[0]: no such file or folder: /no/such"]),
+    (
+        "hubb: 1\nros2: {domain: -1, nod: x}\nlog: {level: all}\n",
+        [
+            "1:1: hubb: unknown key 'hubb'; did you mean 'hub'?",
+            "2:16: ros2.domain: input should be greater than or equal to 0, not -1",
+            "2:20: ros2.nod: unknown key 'nod'; did you mean 'node'?",
+            "3:14: log.level: 'all' is not one of debug, info, warning, error",
+        ],
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "expected"), CASES, ids=[text.splitlines()[0] for text, _ in CASES])
+def test_problems_have_place_key_and_cure(text: str, expected: list[str]) -> None:
+    assert problems(text) == [f"midspan.yaml:{line}" for line in expected]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: &a [*a]\n", "too large or nested too deeply"),
+        (
+            (
+                "a: &a [0,0,0,0,0,0,0,0,0,0]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a,*a]\nc: &c [*b,*b,*b,*b,*b,*b,*b,*b,*b,*b]\n"
+                "d: &d [*c,*c,*c,*c,*c,*c,*c,*c,*c,*c]\ne: &e [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nf: [*e,*e]\n"
+            ),
+            "too large",
+        ),
+        ("[" * 20000, "not valid YAML"),
+        ("a: b\n---\nc: d\n", "but found another document"),
+        ("a: *nothing\n", "undefined alias"),
+        ("a: \x07\n", "not valid YAML"),
+    ],
+    ids=["alias of itself", "aliases that multiply", "deep", "two documents", "no such alias", "control character"],
+)
+def test_hostile_yaml_is_refused(text: str, said: str) -> None:
+    assert said in problems(text)[0]
+
+
+def test_file_that_cannot_be_used(tmp_path: Path) -> None:
+    large = tmp_path / "large.yaml"
+    large.write_bytes(b"#" * (MAX_BYTES + 1))
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes("log:\n  level: 'gr\u00fcn'".encode("latin-1"))
+    for file, said in [
+        (tmp_path / "missing.yaml", "no such file"),
+        (tmp_path, "is not a file"),
+        (large, "is larger than"),
+        (latin, "latin.yaml:2:13: is not UTF-8: byte 0xfc"),
+    ]:
+        with pytest.raises(ConfigError, match=said):
+            load(file)
+
+
+def test_relative_paths_are_relative_to_the_file(tmp_path: Path) -> None:
+    for name in ("msg", "more", "rules.yaml"):
+        (tmp_path / name).mkdir()
+    file = tmp_path / "conf" / "midspan.yaml"
+    file.parent.mkdir()
+    file.write_text(f"state: st\ntypes: {{folders: [../msg, {tmp_path}/more], mapping_rules: [../rules.yaml]}}\n")
+    config = load(file)
+    assert config.state == tmp_path / "conf" / "st"
+    assert config.types.folders == (tmp_path / "msg", tmp_path / "more")
+    assert config.types.mapping_rules == (tmp_path / "rules.yaml",)
+
+
+def test_home_is_expanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert loads("state: ~/st").state == tmp_path / "st"
+
+
+def test_search_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    work, home = tmp_path / "work", tmp_path / "home"
+    work.mkdir()
+    user = home / ".config" / "midspan" / "midspan.yaml"
+    user.parent.mkdir(parents=True)
+    monkeypatch.chdir(work)
+    environ = {"HOME": str(home)}
+    user.write_text("")
+    assert find(environ) == user
+    (work / "midspan.yaml").write_text("")
+    assert find(environ) == Path("midspan.yaml")
+    assert find({**environ, "MIDSPAN_CONFIG": "/else/where.yaml"}) == Path("/else/where.yaml")
+    (work / "midspan.yaml").unlink()
+    assert find({**environ, "XDG_CONFIG_HOME": str(tmp_path / "xdg")}) in {None, Path("/etc/midspan/midspan.yaml")}
+
+
+def test_configuration_survives_the_way_to_a_worker(tmp_path: Path) -> None:
+    config = loads(
+        f"state: {tmp_path}\nrouting: {{rules: [{{topic: /a, from: ros1, rename: /b}}]}}\nhub: {{zenoh: {{a: 1}}}}"
+    )
+    sent = decode_command(encode_command(NewConfig(config)))
+    assert sent == NewConfig(config)
