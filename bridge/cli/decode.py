@@ -51,7 +51,7 @@ class Types:
             ConversionError: the bytes are no such message.
         """
         self.prepare(name, type_hash)
-        return to_json(self.registry, name, cdr)
+        return to_json(self.registry, name, cdr, type_hash)
 
     def prepare(self, name: str, type_hash: str) -> None:
         """Have the definition of a type with this very hash; raises `CliError` where nobody tells it."""

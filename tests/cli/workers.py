@@ -13,6 +13,7 @@ from bridge.adapters.base import MadeBy
 from bridge.config.model import RoutingSection
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
+from bridge.hub.subscription import HubSample
 from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
 from tests.support.fake import FakeEdge, FakeNetwork, Writer
@@ -45,11 +46,28 @@ class FakeWorker:
 
     def __init__(self, network: HubNetwork, worker: str, daemon: str = "robot1", **answers: Any) -> None:
         self.hub = Hub.open(network.settings(f"midspan_{worker}", worker=worker, daemon=daemon))
+        self.kept: list[Any] = []
         for verb, answer in answers.items():
-            self.hub.serve(verb, answer if callable(answer) else lambda _params, value=answer: value)
+            self.hub.serve(verb, answer if callable(answer) else _constant(answer))
+
+    def publish(self, topic: str, type_name: str, type_hash: str, cdr: bytes) -> None:
+        """Publish one latched message, kept until the worker is closed."""
+        publisher = self.hub.publisher(topic, type_name, type_hash, LATCHED)
+        self.kept.append(publisher)
+        publisher.put(cdr)
+
+    def hear(self, topic: str, type_name: str, qos: Qos) -> list[HubSample]:
+        """Subscribe until the worker is closed; the samples as they come."""
+        heard: list[HubSample] = []
+        self.kept.append(self.hub.subscription(topic, type_name, "*", qos, heard.append))
+        return heard
 
     def close(self) -> None:
         self.hub.close()
+
+
+def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda _params: answer
 
 
 class _Edge(FakeEdge):
