@@ -20,6 +20,7 @@ from tests.support.hub import HubNetwork
 
 SIDES: dict[str, Callable[..., Side]] = {"fake": FakeSide, "ros1": Ros1Side, "ros2": Ros2Side}
 
+
 @pytest.fixture()
 def hubs() -> Iterator[HubNetwork]:
     with HubNetwork() as network:

@@ -14,7 +14,7 @@ from bridge.messages.registry import Registry
 from bridge.hub.session import Hub
 from bridge.routing.engine import Engine
 from tests.contract.hubside import ros2_name
-from tests.contract.side import Side
+from tests.contract.side import CUSTOM_FOLDER, Side
 from tests.support.fake import FakeEdge, FakeNetwork, Reader, Writer
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
@@ -118,7 +118,7 @@ class FakeSide(Side):
         super().__init__()
         self._hubs = hubs
         self._network = FakeNetwork()
-        self._registry = Registry()
+        self._registry = Registry(folders=[CUSTOM_FOLDER])
         self._restarts = itertools.count(2)
 
     def peer(self) -> FakePeer:

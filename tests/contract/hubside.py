@@ -96,10 +96,12 @@ class HubSide:
         until(lambda: not self.publishers(topic), f"no publisher of {topic} on the hub", seconds)
 
     def status(self) -> dict[str, Any]:
-        """The one worker's status."""
-        answers = until(lambda: [a for a in self.hub.ask("status", {}) if isinstance(a.value, dict)], "a status answer")
-        value: dict[str, Any] = answers[0].value
-        return value
+        """The bridge worker's status; the router answers too."""
+
+        def answers() -> list[dict[str, Any]]:
+            return [a.value for a in self.hub.ask("status", {}) if isinstance(a.value, dict) and a.worker != "router"]
+
+        return until(answers, "a status answer")[0]
 
     def route(self, topic: str, direction: str) -> dict[str, Any] | None:
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
@@ -108,7 +110,9 @@ class HubSide:
         return until(lambda: self.route(topic, direction), f"a route {direction} for {topic}", seconds, every=0.1)
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
-        return [line for a in self.hub.ask("explain", {"topic": topic}) if isinstance(a.value, list) for line in a.value]
+        return [
+            line for a in self.hub.ask("explain", {"topic": topic}) if isinstance(a.value, list) for line in a.value
+        ]
 
 
 def ros2_name(type_: str) -> str:

@@ -11,7 +11,7 @@ from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.interfaces.builder import build
 from bridge.interfaces.paths import environment
-from bridge.interfaces.standing import read_folder
+from bridge.interfaces.folders import read_folders
 from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer
@@ -46,7 +46,7 @@ class Ros2Side(Side):
 @functools.cache
 def _custom_prefix() -> Path:
     """The suite's own message packages, built as a user of them would have them."""
-    return build({folder.name: read_folder(folder) for folder in CUSTOM_FOLDER.iterdir()})
+    return build(read_folders([CUSTOM_FOLDER]))
 
 
 def _custom_environment() -> dict[str, str]:

@@ -80,7 +80,9 @@ class WorkerProcess:
     """``midspan worker SIDE --supervised`` under the test's control."""
 
     def __init__(self, side: str, config: Config, env: Mapping[str, str]) -> None:
-        self.process = Process([sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"], env, pipes=True)
+        self.process = Process(
+            [sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"], env, pipes=True
+        )
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
         until(lambda: self.beat()["state"] == "running", f"{side} worker runs", 20, every=0)
 
@@ -120,4 +122,3 @@ class WorkerProcess:
         self.process.signal(9)
         self.process.popen.wait()
         self.process.stop()
-

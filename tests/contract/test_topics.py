@@ -81,7 +81,13 @@ def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None
 
 
 def test_octomap_from_a_folder(side: Side, bridge: Bridge, far: HubSide) -> None:
-    tree = {"header": {"frame_id": "map"}, "binary": True, "id": "OcTree", "resolution": 0.05, "data": [1, -2, 127, -128]}
+    tree = {
+        "header": {"frame_id": "map"},
+        "binary": True,
+        "id": "OcTree",
+        "resolution": 0.05,
+        "data": [1, -2, 127, -128],
+    }
     peer = side.peer()
     out = peer.advertise("/octomap_binary", "octomap_msgs/Octomap", latched=True)
     far.until_route("/octomap_binary", "in", 90)

@@ -19,6 +19,7 @@ from bridge.adapters.base import (
 )
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
+from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 
 
@@ -165,6 +166,8 @@ class FakeEdge(Edge):
 
     def _identity(self, type_name: str, type_hash: str) -> Conversion:
         known = self._registry.ros2(type_name)
+        if type_hash and type_hash != known.type_id:
+            raise MessageTypeError(f"{type_name}: hash {type_hash} is not {known.type_id}", "install the same version")
         return Conversion(known, known, None)
 
     def learn(self, type_name: str, definition: str) -> None:
