@@ -70,7 +70,7 @@ class Ros2Subscription:
         self._on_closed = closed
         self._lock = threading.Lock()
         self._readers: dict[Class, _ClassReader] = {}
-        self._sources: dict[bytes, _Source | None] = {}
+        self._sources: dict[bytes, _Source] = {}
         self.closed = False
         self._complained = float("-inf")
         self.refit()
@@ -84,8 +84,11 @@ class Ros2Subscription:
         with self._lock:
             if self.closed:
                 return
-            for gone in [g for g in self._sources if g not in publishers]:
-                del self._sources[gone]
+            # A publisher's class may change with its company; see `_class_of`.
+            self._sources = {
+                gid: _Source(publisher.id, self._class_of(publisher, publishers.values()))
+                for gid, publisher in publishers.items()
+            }
             for new in wanted - self._readers.keys():
                 self._readers[new] = self._open(new)
             for old in self._readers.keys() - wanted if wanted else ():
@@ -119,10 +122,7 @@ class Ros2Subscription:
 
     def source(self, gid: bytes, reader_class: Class) -> str | None:
         """Id of the publisher whose message came by a reader, None where the message is not to be delivered."""
-        try:
-            source = self._sources[gid]
-        except KeyError:
-            source = self._resolve(gid, reader_class)
+        source = self._sources.get(gid) or self._resolve(gid, reader_class)
         if source is None:
             return None
         own = source.reader_class

@@ -1,0 +1,192 @@
+"""The edge in a process of its own: other users, a small /dev/shm, a sudden death."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.base import Kind, MadeBy
+from bridge.adapters.ros2 import shm
+from bridge.adapters.ros2.environment import worker_environment
+from bridge.config.model import Config
+from tests.adapters.ros2.conftest import RunningEdge
+from tests.support.peer import Peer
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[3]
+NOBODY = 65534
+AS_NOBODY = (f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
+
+
+class Programs:
+    """Starts edges and native peers as other users or in another mount namespace, and ends them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.running: list[Peer] = []
+
+    def native(self, user: int = 0, mounts: int | None = None) -> Peer:
+        return self._start([str(ROS2_PEER), "native"], ros2_environment(), user, mounts)
+
+    def edge(self, user: int = 0, mounts: int | None = None, **ros2: Any) -> Peer:
+        config = Config.model_validate({"ros2": {"domain": ros2_domain(), **ros2}})
+        env = {**worker_environment(config, os.environ), "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+        for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+            env.pop(name, None)
+        # Each user has a state of its own that outlives the process, as a worker's does.
+        state = self.folder / f"state-{user}"
+        state.mkdir(exist_ok=True)
+        os.chown(state, user, -1)
+        text = json.dumps(config.model_dump(mode="json", by_alias=True, exclude_unset=True))
+        return self._start(["-m", "tests.adapters.ros2.edge_program", text, str(state)], env, user, mounts)
+
+    def _start(self, args: list[str], env: dict[str, str], user: int, mounts: int | None) -> Peer:
+        env = {**env, "HOME": str(self.folder), "ROS_LOG_DIR": str(self.folder / f"log-{user}")}
+        command = [sys.executable, *args]
+        if user:
+            command = ["setpriv", *AS_NOBODY, *command]
+        if mounts is not None:
+            command = ["nsenter", f"--mount=/proc/{mounts}/ns/mnt", *command]
+        program = Peer(Path(command[1]), Path(command[0]), env, *command[2:])
+        self.running.append(program)
+        return program
+
+    def stop(self) -> None:
+        for program in self.running:
+            program.stop()
+
+
+@pytest.fixture
+def programs() -> Iterator[Programs]:
+    folder = Path(tempfile.mkdtemp(prefix="midspan-test-ros2-"))
+    folder.chmod(0o777)
+    programs = Programs(folder)
+    yield programs
+    programs.stop()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 10.0) -> None:
+    """Messages go both ways between an edge and a native program."""
+    inward, outward = edge.ask("subscribe", topic="/x/in")["id"], edge.ask("advertise", topic="/x/out")["id"]
+    heard, sends = native.subscribe("/x/out", "std_msgs/String"), native.advertise("/x/in", "std_msgs/String")
+
+    def both() -> bool:
+        native.publish(sends, {"data": data})
+        edge.ask("publish", id=outward, message=data)
+        came = edge.ask("wait", id=inward, count=1, seconds=0.1)["messages"]
+        return bool(came) and bool(native.wait(heard, 1, 0.1))
+
+    until(both, "messages both ways", seconds)
+
+
+def segments(program: Peer) -> set[Path]:
+    """Fast DDS's segments in shared memory that a process has mapped; ports belong to all who use them."""
+    maps = Path(f"/proc/{program.pid}/maps").read_text()
+    return {Path(line.split()[-1]) for line in maps.splitlines() if re.search(r"/dev/shm/fastrtps_[0-9a-f]{16}$", line)}
+
+
+def need_other_user() -> None:
+    """Skip where this process cannot become another user who could run the programs."""
+    if os.geteuid() != 0 or not shutil.which("setpriv"):
+        pytest.skip("needs root and setpriv to run programs as another user")
+    reads = subprocess.run(["setpriv", *AS_NOBODY, sys.executable, "-c", "import bridge"], cwd=ROOT, check=False)
+    if reads.returncode != 0:
+        pytest.skip("another user cannot read this checkout or its Python")
+
+
+@pytest.mark.parametrize(("edge_user", "native_user"), [(0, NOBODY), (NOBODY, 0)])
+def test_data_crosses_between_users_whoever_came_first(programs: Programs, edge_user: int, native_user: int) -> None:
+    need_other_user()
+    native = programs.native(native_user)
+    native.graph()
+    crosses(programs.edge(edge_user), native)
+
+
+@pytest.mark.parametrize(("edge_user", "native_user"), [(0, NOBODY), (NOBODY, 0)])
+def test_edge_leaves_shared_memory_when_another_user_appears(
+    programs: Programs, edge_user: int, native_user: int
+) -> None:
+    need_other_user()
+    edge = programs.edge(edge_user)
+    edge.ask("status")
+    native = programs.native(native_user)
+    native.advertise("/x/appears", "std_msgs/String")
+    reasons = until(lambda: edge.ask("status")["failed"], "the edge to ask for a new start")
+    assert len(reasons) == 1
+    assert "another user" in reasons[0]
+    edge.stop()
+    again = programs.edge(edge_user)
+    crosses(again, native)
+    assert again.ask("status")["failed"] == []
+
+
+def test_same_user_keeps_shared_memory(programs: Programs) -> None:
+    edge, native = programs.edge(transport="auto"), programs.native()
+    crosses(edge, native)
+    assert edge.ask("status")["failed"] == []
+    assert max(path.stat().st_size for path in segments(edge)) >= shm.SMALLEST_SEGMENT
+
+
+@pytest.mark.parametrize("transport", ["auto", "shared_memory", "udp"])
+def test_small_shared_memory_will_do(programs: Programs, transport: str) -> None:
+    """/dev/shm of 64 MB, Docker's default; large messages among them."""
+    mount = "mount -t tmpfs -o size=64m tmpfs /dev/shm && echo mounted && exec cat"
+    try:
+        holder = subprocess.Popen(
+            ["unshare", "--mount", "sh", "-c", mount], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+    except FileNotFoundError:
+        pytest.skip("needs unshare")
+    with holder:
+        assert holder.stdin is not None
+        assert holder.stdout is not None
+        if holder.stdout.readline() != "mounted\n":
+            holder.stdin.close()
+            pytest.skip("may not mount a /dev/shm of its own")
+        try:
+            edge = programs.edge(mounts=holder.pid, transport=transport)
+            crosses(edge, programs.native(mounts=holder.pid), "x" * 1_000_000, 20)
+            crosses(edge, programs.native(mounts=holder.pid), "x" * 6_000_000, 20)
+            # A dead one's segment must not take the room of the next.
+            edge.signal(signal.SIGKILL)
+            crosses(
+                programs.edge(mounts=holder.pid, transport=transport), programs.native(mounts=holder.pid), "y" * 10**6
+            )
+        finally:
+            programs.stop()
+            holder.stdin.close()
+
+
+def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, edge: RunningEdge) -> None:
+    killed, native = programs.edge(), programs.native()
+    killed.ask("advertise", topic="/x/killed")
+    (endpoint,) = edge.seen("/x/killed", Kind.PUBLISHER)
+    assert endpoint.made_by is MadeBy.MIDSPAN
+    until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge on the native graph")
+    killed.signal(signal.SIGKILL)
+    until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge to go")
+    edge.gone("/x/killed", Kind.PUBLISHER)
+
+
+def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
+    edge = programs.edge(transport="shared_memory")
+    edge.ask("advertise", topic="/x/stop")
+    made = segments(edge)
+    assert made
+    assert edge.popen.stdin is not None
+    edge.popen.stdin.close()
+    assert edge.popen.wait(5) == 0
+    assert not [path for path in made if path.exists()]
