@@ -177,7 +177,7 @@ class _Reader:
         base, bound, array = match["base"], match["bound"] or "", match["array"] or ""
         if bound and base not in ("string", "wstring"):
             raise self._fault(number, f"'{field_type}': only strings have a bound of their own")
-        if is_constant and (base not in PRIMITIVES or array):
+        if is_constant and (base not in PRIMITIVES or bound or array):
             raise self._fault(number, f"a constant cannot be of type '{field_type}'", "Use one of the plain types")
         if base not in PRIMITIVES:
             base = self._refer(number, base)

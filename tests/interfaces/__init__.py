@@ -1,0 +1,1 @@
+"""The interface builder: definitions checked, packages built, and used by real ROS 2 programs."""
