@@ -1,8 +1,8 @@
 """Run by the system's Python: what real genpy makes of sample messages.
 
-Reads one JSON list from standard input: ``{"type", "definition", "values", "ros1"}`` with the fields' values in ROS 2's
-naming and the base64 bytes that were converted. Writes for each ``{"md5", "bytes", "same"}``: genpy's md5, its own bytes
-of the same values, and whether it reads the converted bytes as the same message; or ``{"error"}``.
+Reads one JSON list from standard input: ``{"type", "definition", "values", "ros1"}`` with the fields' values in ROS
+2's naming and the base64 bytes that were converted. Writes for each ``{"md5", "bytes", "same"}``: genpy's md5, its own
+bytes of the same values, and whether it reads the converted bytes as the same message; or ``{"error"}``.
 """
 
 import base64

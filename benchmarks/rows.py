@@ -1,0 +1,47 @@
+"""Benchmark results as rows: what was measured, ours beside a peer's, as a table and as JSON.
+
+A row is ``{case, ours, peer, ratio, unit, better}``; ``ratio`` is ours over the peer's, ``better`` says whether less or
+more of it is better.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One comparison, both values in ``unit``."""
+
+    case: str
+    ours: float
+    peer: float
+    unit: str
+    better: Literal["less", "more"] = "less"
+
+    @property
+    def ratio(self) -> float:
+        """Ours over the peer's."""
+        return self.ours / self.peer if self.peer else float("inf")
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Give a benchmark the option ``--json FILE``."""
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to this file as JSON")
+
+
+def report(rows: Sequence[Row], file: Path | None = None) -> None:
+    """Print the rows as a table, and write them to ``file`` where one is given."""
+    width = max((len(row.case) for row in rows), default=4)
+    print(f"{'case':<{width}}  {'ours':>12}  {'peer':>12}  {'ratio':>7}  unit    better")
+    for row in rows:
+        numbers = f"{row.ours:>12.3f}  {row.peer:>12.3f}  {row.ratio:>7.3f}"
+        print(f"{row.case:<{width}}  {numbers}  {row.unit:<6}  {row.better}")
+    if file is not None:
+        listed = [{**asdict(row), "ratio": row.ratio} for row in rows]
+        file.write_text(json.dumps(listed, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,149 @@
+"""ROS 1 to CDR and back: Midspan's converters beside rosbags', in one process, round by round in turn.
+
+Bulk messages are also set beside a bare copy of their bytes. Each figure is the median over the rounds of one
+conversion's time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+
+BULK = 500_000
+"""Messages from this many bytes on are set beside a bare copy."""
+
+SECONDS_A_ROUND = 0.02
+
+
+def transforms(count: int) -> dict[str, Any]:
+    """A TFMessage."""
+    rotation = {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}
+    moves = [
+        {
+            "header": {"stamp": {"sec": 100 + k, "nanosec": k}, "frame_id": "base_link"},
+            "child_frame_id": f"link_{k}",
+            "transform": {"translation": {"x": k + 0.5, "y": 1.0, "z": 2.0}, "rotation": rotation},
+        }
+        for k in range(count)
+    ]
+    return {"transforms": moves}
+
+
+def diagnostics(count: int, values: int) -> dict[str, Any]:
+    """A DiagnosticArray."""
+    keys = [{"key": f"temperature of part {k}", "value": f"{20 + k} degrees"} for k in range(values)]
+    status = [
+        {
+            "level": k % 3,
+            "name": f"motor_{k}: drive",
+            "message": "running well",
+            "hardware_id": f"hw{k}",
+            "values": keys,
+        }
+        for k in range(count)
+    ]
+    return {"status": status}
+
+
+def joints(count: int) -> dict[str, Any]:
+    """A JointState."""
+    numbers = [0.1 * k for k in range(count)]
+    names = [f"arm_{k}_joint" for k in range(count)]
+    return {"header": {"frame_id": "base"}, "name": names, "position": numbers, "velocity": numbers, "effort": numbers}
+
+
+def image(width: int, height: int) -> dict[str, Any]:
+    """An rgb8 Image."""
+    content = bytes(range(256)) * (3 * width * height // 256)
+    return {"header": {"frame_id": "camera"}, "width": width, "height": height, "encoding": "rgb8", "data": content}
+
+
+def goals(count: int) -> dict[str, Any]:
+    """A GoalStatusArray."""
+    status = [{"goal_id": {"id": f"/client-{k}-1700000000.25"}, "status": 3, "text": "reached"} for k in range(count)]
+    return {"status_list": status}
+
+
+SCAN = {"header": {"frame_id": "laser"}, "ranges": [0.5 + k / 720 for k in range(720)], "intensities": [1.0] * 720}
+GRID = {"info": {"width": 1000, "height": 1000, "resolution": 0.05}, "data": [k % 101 - 1 for k in range(1_000_000)]}
+CASES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "String 100 B": ("std_msgs/msg/String", {"data": "a" * 100}),
+    "Twist": ("geometry_msgs/msg/Twist", {"linear": {"x": 0.2}, "angular": {"z": 0.4}}),
+    "TFMessage of 20": ("tf2_msgs/msg/TFMessage", transforms(20)),
+    "LaserScan 720": ("sensor_msgs/msg/LaserScan", SCAN),
+    "OccupancyGrid 1000x1000": ("nav_msgs/msg/OccupancyGrid", GRID),
+    "Image 1 MB": ("sensor_msgs/msg/Image", image(640, 520)),
+    "Image 6 MB": ("sensor_msgs/msg/Image", image(1920, 1080)),
+    "JointState of 50": ("sensor_msgs/msg/JointState", joints(50)),
+    "DiagnosticArray 20x10": ("diagnostic_msgs/msg/DiagnosticArray", diagnostics(20, 10)),
+    "GoalStatusArray of 20": ("actionlib_msgs/msg/GoalStatusArray", goals(20)),
+    "Path of 100": ("nav_msgs/msg/Path", {"poses": [{"header": {"frame_id": "map"}}] * 100}),
+}
+
+
+def compare(ours: Callable[[], object], peer: Callable[[], object], rounds: int) -> tuple[float, float]:
+    """Median times of one call of each, in microseconds; the two take turns, and turns at being first."""
+    calls = [max(1, int(SECONDS_A_ROUND / max(_time(call, 3), 1e-7))) for call in (ours, peer)]
+    times: list[list[float]] = [[], []]
+    for number in range(rounds):
+        for which in (0, 1) if number % 2 == 0 else (1, 0):
+            times[which].append(_time((ours, peer)[which], calls[which]))
+    return 1e6 * statistics.median(times[0]), 1e6 * statistics.median(times[1])
+
+
+def _time(call: Callable[[], object], times: int) -> float:
+    start = time.perf_counter()
+    for _ in range(times):
+        call()
+    return (time.perf_counter() - start) / times
+
+
+def measure(rounds: int) -> list[Row]:
+    """All rows."""
+    registry = Registry()
+    store = get_typestore(Stores.ROS2_JAZZY)
+    rows = []
+    for case, (name, values) in CASES.items():
+        cdr = from_json(registry, name, values)
+        back = registry.hub_to_ros1(name)
+        there = registry.ros1_to_hub(back.target.name)
+        assert back.convert is not None
+        assert there.convert is not None
+        to_ros1, to_cdr = back.convert, there.convert
+        ros1 = to_ros1(cdr)
+        if to_cdr(ros1) != cdr or bytes(store.ros1_to_cdr(ros1, name)) != cdr:
+            msg = f"{case}: the two conversions differ"
+            raise SystemExit(msg)
+        pairs: dict[str, tuple[Callable[[], object], Callable[[], object]]] = {
+            "ROS 1 to CDR, rosbags": (lambda: to_cdr(ros1), lambda: store.ros1_to_cdr(ros1, name)),
+            "CDR to ROS 1, rosbags": (lambda: to_ros1(cdr), lambda: store.cdr_to_ros1(cdr, name)),
+        }
+        if len(cdr) >= BULK:
+            source1, source2 = bytearray(ros1), bytearray(cdr)
+            pairs["ROS 1 to CDR, bare copy"] = (lambda: to_cdr(ros1), lambda: bytes(source1))
+            pairs["CDR to ROS 1, bare copy"] = (lambda: to_ros1(cdr), lambda: bytes(source2))
+        for way, (ours, peer) in pairs.items():
+            rows.append(Row(f"{case}, {way}", *compare(ours, peer, rounds), "us"))
+    return rows
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=15, help="rounds of each comparison (default 15)")
+    add_json_option(parser)
+    options = parser.parse_args()
+    report(measure(options.rounds), options.json)
+
+
+if __name__ == "__main__":
+    main()
