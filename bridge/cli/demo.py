@@ -38,6 +38,9 @@ def register(subparsers: Any) -> None:
         help="also write checks and routes to a file (or JSON=FILE)",
     )
     parser.add_argument(
+        "--seconds", type=float, metavar="N", default=20.0, help="how long to run at least (default 20)"
+    )
+    parser.add_argument(
         "--config", type=Path, metavar="FILE", help="configuration with the daemon's rules (default configs/demo.yaml)"
     )
 
@@ -60,8 +63,9 @@ def run(args: argparse.Namespace) -> int:
         with View(here) as view:
             try:
                 with Demo(here, view.tick) as demo:
-                    result = demo.run()
+                    result = demo.run(args.seconds)
                     view.look()
+                    view.ask_why(result.checks)
                     view.say(f"checked after {result.seconds:.0f} s")
                     if args.stay:
                         view.show(result.checks)

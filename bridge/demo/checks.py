@@ -140,8 +140,10 @@ def _driven(source: str, drive: Drive | None) -> list[Check]:
     way = f"{linear:g} m/s" if linear else f"{angular:g} rad/s"
     far = (moved if linear else abs(turned)) >= _MOVED
     arrived = f"{drive.received} of {drive.sent} commands, moved {moved:.2f} m, turned {turned:+.2f} rad"
-    at_rest = all(abs(v) < 1e-6 for v in drive.velocity)
-    resting = "it stands" if at_rest else f"still at {drive.velocity[0]:.2f} m/s, {drive.velocity[1]:.2f} rad/s"
+    at_rest = far and all(abs(v) < 1e-6 for v in drive.velocity)
+    resting = (
+        "it stands" if at_rest else f"at {drive.velocity[0]:.2f} m/s, {drive.velocity[1]:.2f} rad/s after {arrived}"
+    )
     seen = "it does" if drive.seen else "it does not"
     return [
         Check("drive", source, ROS1, topics.CMD_VEL, f"the robot moves at {way}", arrived, far),

@@ -14,10 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from bridge.demo import guard
-from bridge.demo.place import MARK
 
 _LAST_WORDS = 1500
 
@@ -119,14 +116,3 @@ class Child:
 def guarded(*command: str | Path) -> list[str | Path]:
     """A command that knows nothing of its input, made to end with it."""
     return [sys.executable, "-I", Path(guard.__file__), *command]
-
-
-def sweep(folder: Path) -> list[str]:
-    """End what is left of the processes that were started for a run of the demo; returns their names."""
-    left = []
-    for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error, OSError):
-            if process.pid != os.getpid() and process.environ().get(MARK) == str(folder):
-                left.append(f"{process.name()} ({process.pid})")
-                process.kill()
-    return left

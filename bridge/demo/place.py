@@ -37,9 +37,10 @@ class Place:
 
     Args:
         template: configuration file whose rules the demo's daemon runs with; what names the place is replaced.
+        more: configuration laid over the template's.
     """
 
-    def __init__(self, template: Path | None) -> None:
+    def __init__(self, template: Path | None, more: Mapping[str, Any] | None = None) -> None:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-"))
         try:
@@ -50,7 +51,7 @@ class Place:
             self.system_path.mkdir()
             (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
             self.config_file = self.folder / "demo.yaml"
-            self.config = self._write_config(template)
+            self.config = self._write_config(template, more or {})
         except BaseException:
             self.close()
             raise
@@ -59,6 +60,11 @@ class Place:
     def master(self) -> str:
         """URI of the ROS master."""
         return f"http://127.0.0.1:{self.master_port}/"
+
+    @property
+    def domain_ports(self) -> range:
+        """The ports of the ROS domain."""
+        return _ports(self.domain)
 
     def environment(self) -> dict[str, str]:
         """Environment of the daemon and of the programs that run on Midspan's own Python."""
@@ -93,11 +99,12 @@ class Place:
             self._hold.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _write_config(self, template: Path | None) -> Config:
+    def _write_config(self, template: Path | None, more: Mapping[str, Any]) -> Config:
         base: dict[str, Any] = {}
         if template is not None:
             load(template)  # its mistakes are told with file and line
             base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
+        base = _merged(base, more)
         own = {
             "name": f"demo-{os.getpid()}",
             "state": str(self.folder / "state"),
@@ -139,18 +146,23 @@ def _hold_domain() -> tuple[socket.socket, int]:
     domains = list(_DOMAINS)
     random.shuffle(domains)
     for domain in domains:
-        first = _PORT_BASE + _DOMAIN_GAIN * domain
-        if not _is_free(first) or not _is_free(first + 10):  # discovery: everybody's, the first participant's
+        ports = _ports(domain)
+        if not _is_free(ports[0]) or not _is_free(ports[10]):  # discovery: everybody's, the first participant's
             continue
         hold = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            hold.bind(("127.0.0.1", first + _DOMAIN_GAIN - 1))
+            hold.bind(("127.0.0.1", ports[-1]))
         except OSError:
             hold.close()
             continue
         return hold, domain
     msg = f"no free ROS domain between {_DOMAINS.start} and {_DOMAINS.stop - 1} on this machine"
     raise RuntimeError(msg)
+
+
+def _ports(domain: int) -> range:
+    first = _PORT_BASE + _DOMAIN_GAIN * domain
+    return range(first, first + _DOMAIN_GAIN)
 
 
 def _is_free(port: int) -> bool:

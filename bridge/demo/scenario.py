@@ -12,13 +12,17 @@ from typing import Any, Self
 
 from bridge.demo import requirements, topics
 from bridge.demo.checks import ROS1, ROS2, ZENOH, Check, Drive, evaluate
-from bridge.demo.child import Child, guarded, sweep
+from bridge.demo.child import Child, guarded
 from bridge.demo.place import Place
+from bridge.demo.traces import remove_unused, shared_memory, sweep
 
 _log = logging.getLogger(__name__)
 
-START_SECONDS = 30.0
+START_SECONDS = 20.0
 """How long the programs may take to be up, and then to hear of each other."""
+
+SHOW_SECONDS = 20.0
+"""How long a run lasts at least, so that a person sees the table move."""
 
 CROSS_SECONDS = 10.0
 """How long what has not crossed is waited for in the end."""
@@ -73,8 +77,12 @@ class Demo:
 
     # -- the run -------------------------------------------------------------------------------------------------------
 
-    def run(self) -> Result:
-        """Start, drive, check; raises `DemoError` where a part does not start."""
+    def run(self, seconds: float = SHOW_SECONDS) -> Result:
+        """Start, drive, check; raises `DemoError` where a part does not start.
+
+        Args:
+            seconds: how long to go on at least.
+        """
         self._start()
         self._wait_until_joined()
         for program in (ROS2, ZENOH):
@@ -84,6 +92,7 @@ class Demo:
         end = time.monotonic() + CROSS_SECONDS
         while not self.result().ok and time.monotonic() < end:
             self._wait(0.25, "waiting for what has not crossed yet")
+        self._wait(seconds - (time.monotonic() - self._began), "the programs go on listening")
         return self.result()
 
     def result(self) -> Result:
@@ -174,6 +183,7 @@ class Demo:
 
     def stop(self) -> None:
         """End all processes, those that depend on others first. Safe to call twice."""
+        memory = shared_memory(self._place.folder, self._place.domain_ports)
         for group, patience in (((ZENOH, ROS2, ROS1), 4.0), (("daemon",), 9.0), (("roscore",), 9.0)):
             children = [self._children[name] for name in group if name in self._children]
             for child in children:
@@ -184,6 +194,9 @@ class Demo:
         left = sweep(self._place.folder)
         if left:
             _log.warning("these processes had to be killed: %s", ", ".join(left))
+        forgotten = remove_unused(memory)
+        if forgotten:
+            _log.info("removed from shared memory: %s", ", ".join(map(str, forgotten)))
 
 
 def _heard_anything(report: dict[str, Any]) -> bool:

@@ -18,6 +18,7 @@ from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, connect
 from bridge.cli.routes_table import Document, route_list, routes_table
 from bridge.cli.status import ask_status
+from bridge.cli.text import clean
 from bridge.demo.checks import Check
 from bridge.demo.place import Place
 
@@ -37,6 +38,7 @@ class View:
         self._documents: Sequence[Document] = ()
         self._looked = self._began = time.monotonic()
         self._doing = ""
+        self._reasons: dict[str, list[str]] = {}
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -80,6 +82,11 @@ class View:
         except CliError:
             return  # not up yet, or just ended: the demo itself watches its processes
 
+    def ask_why(self, checks: Sequence[Check]) -> None:
+        """Ask the workers about the topics of failed checks, while they are there to answer."""
+        topics = dict.fromkeys(check.topic for check in checks if not check.ok)
+        self._reasons = {topic: _reasons(self._client, topic) for topic in topics} if self._client else {}
+
     def show(self, checks: Sequence[Check]) -> None:
         """Print the routes and the checks."""
         console = self._live.console if self._live else self._console
@@ -93,6 +100,9 @@ class View:
             texts = (check.name, check.source, check.target, check.topic, check.expected, check.seen)
             table.add_row(mark, *map(Text, texts))
         console.print(table)
+        for topic, reasons in self._reasons.items():
+            for reason in reasons:
+                console.print(Text(f"{topic}: {reason}", style="yellow"))
         failed = sum(1 for check in checks if not check.ok)
         verdict = f"{failed} of {len(checks)} did not cross" if failed else f"all {len(checks)} crossed"
         console.print(Text(verdict, style="bold red" if failed else "bold green"))
@@ -110,6 +120,17 @@ class View:
 
     def _time(self) -> str:
         return f"{time.monotonic() - self._began:5.1f} s"
+
+
+def _reasons(client: Client, topic: str) -> list[str]:
+    """What each worker says of a topic that it does not carry as it should."""
+    told = []
+    for answer in client.ask("explain", {"topic": topic}):
+        for entry in answer.value if isinstance(answer.value, list) else ():
+            if isinstance(entry, dict) and entry.get("decision") not in ("bridged", "own"):
+                words = (entry.get("direction"), entry.get("decision"), entry.get("why"), entry.get("cure"))
+                told.append(f"{answer.worker}: " + ", ".join(clean(word) for word in words if word))
+    return told
 
 
 def _one_line(documents: Sequence[Document]) -> str:
