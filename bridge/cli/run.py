@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,16 @@ def register(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the daemon until it is told to stop."""
+    from bridge.config.problems import ConfigError
     from bridge.daemon import log
+    from bridge.daemon.protocol import EXIT_CANNOT_WORK
     from bridge.daemon.supervisor import Supervisor
 
-    supervisor = Supervisor(args.config, standing=args.adopt)
+    try:
+        supervisor = Supervisor(args.config, standing=args.adopt)
+    except ConfigError as err:
+        print(err, file=sys.stderr)
+        return EXIT_CANNOT_WORK  # a service must not be started again and again with it
     log.setup(supervisor.config, "midspan", log.style_for())
     signal.signal(signal.SIGTERM, lambda *_: supervisor.request_stop())
     signal.signal(signal.SIGINT, lambda *_: supervisor.request_stop())

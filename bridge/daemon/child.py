@@ -133,6 +133,7 @@ class Child:
             config = self._load()
         except ConfigError as err:
             logger.error("the configuration is not taken up, the running one is kept:\n%s", err)  # noqa: TRY400
+            self._report(Reloaded())
             return None
         return self._reload(config)
 

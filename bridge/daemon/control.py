@@ -7,10 +7,11 @@ import logging
 import os
 import socket
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
-from bridge.daemon.child import Commands
 from bridge.daemon.protocol import (
+    Command,
     Hello,
     Lines,
     Log,
@@ -28,16 +29,22 @@ _READ_SIZE = 1 << 16
 
 
 class ControlServer:
-    """Listens on a Unix socket; one daemon at a time, a newer one takes the older one's place."""
+    """Listens on a Unix socket; one daemon at a time, a newer one takes the older one's place.
 
-    def __init__(self, path: Path, owner: Owner, commands: Commands) -> None:
+    Args:
+        path: the socket's; nobody else may use it, so the worker's lock must be held.
+        owner: who started this worker.
+        obey: takes each command, on a thread of this server.
+    """
+
+    def __init__(self, path: Path, owner: Owner, obey: Callable[[Command], None]) -> None:
         self._path = path
         self._hello = Hello(os.getpid(), owner)
-        self._commands = commands
+        self._obey = obey
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
         self._closed = False
-        path.unlink(missing_ok=True)  # the worker's lock is ours, so nobody listens there
+        path.unlink(missing_ok=True)  # a dead predecessor's
         self._server = socket.socket(socket.AF_UNIX)
         self._server.bind(str(path))
         path.chmod(0o600)
@@ -102,7 +109,7 @@ class ControlServer:
                 break
             for line in lines.feed(data):
                 try:
-                    self._commands.put(decode_command(line))
+                    self._obey(decode_command(line))
                 except ProtocolError as err:
                     logger.error("the daemon sent %s", err)  # noqa: TRY400
         with self._lock:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from bridge.config.model import Config
 from bridge.daemon import log, state
-from bridge.daemon.child import Child, Commands, Outcome, install_signals
+from bridge.daemon.child import Child, Commands, Hangup, Outcome, install_signals
 from bridge.daemon.limits import raise_open_files
 from bridge.daemon.notify import Notifier
 from bridge.daemon.pipe import DaemonPipe
-from bridge.daemon.protocol import EXIT_CANNOT_WORK, Beat, Owner, Report
+from bridge.daemon.protocol import EXIT_CANNOT_WORK, Beat, Command, NewConfig, Owner, Report
 from bridge.daemon.workers import WorkerKind
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Process:
             return self._run(config, pipe.report)
         relay = log.RelayHandler()
         log.setup(config, self._kind.name, log.Style.SUPERVISED, relay)
-        server = self._open_control(config, "daemon")
+        server = self._open_control(config, "daemon", self._commands.put)
         relay.relay_to(server.relay)
         try:
             return self._run(config, server.report)
@@ -61,9 +61,13 @@ class Process:
         """Run without a daemon; the exit code, or None where a new configuration needs this process to start again."""
         log.setup(config, self._kind.name, log.style_for())
         raise_open_files()
-        lock = self._lock(config)
-        server = self._open_control(config, "service") if self._control else None
         notifier = Notifier()
+        if self._control and self._kind.enabled(config) is False:
+            logger.info("%s is switched off by the configuration", self._kind.name)
+            notifier.ready()  # ended as it should; to systemd an end before this is a failure
+            return 0
+        lock = self._lock(config)
+        server = self._open_control(config, "service", self._obey_as_service) if self._control else None
         ready = False
 
         def report(said: Report) -> None:
@@ -77,7 +81,7 @@ class Process:
                     notifier.ready()
                     ready = True
 
-        child = Child(self._kind.create(), self._commands, report, load=load, end_for_restart=not self._control)
+        child = Child(self._kind.create(), self._commands, report, load=load, end_for_restart=True)
         try:
             return self._code(child, config)
         finally:
@@ -87,6 +91,10 @@ class Process:
                 server.close()
             if lock is not None:
                 lock.close()
+
+    def _obey_as_service(self, command: Command) -> None:
+        """A service has its own file: a daemon's new configuration means to load that again."""
+        self._commands.put(Hangup() if isinstance(command, NewConfig) else command)
 
     def _run(self, config: Config, report: Callable[[Report], None]) -> int:
         child = Child(self._kind.create(), self._commands, report)
@@ -103,10 +111,10 @@ class Process:
             return None
         return EXIT_CANNOT_WORK if outcome is Outcome.CANNOT_WORK else 0
 
-    def _open_control(self, config: Config, owner: Owner) -> ControlServer:
+    def _open_control(self, config: Config, owner: Owner, obey: Callable[[Command], None]) -> ControlServer:
         from bridge.daemon.control import ControlServer
 
-        return ControlServer(state.control_socket(config, self._kind.name), owner, self._commands)
+        return ControlServer(state.control_socket(config, self._kind.name), owner, obey)
 
     def _lock(self, config: Config) -> Lock | None:
         """One process a worker, also beside a daemon of the same name."""

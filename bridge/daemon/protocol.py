@@ -9,7 +9,7 @@ Reports (worker to daemon)::
 
     {"hello": {"pid": 1, "owner": "daemon"}}             first, where the worker has a control socket
     {"beat": 1, "state": "running", "text": "2 routes"}  each half second, from the worker's main loop
-    {"reloaded": true}                                   a new configuration was taken up
+    {"reloaded": true}                                   done with the new configuration
     {"restart": "why"}                                   it was not: only a restart of the worker can
     {"failed": "why"}                                    the worker can never work here; its process ends
     {"log": [30, "text"]}                                a log line of a worker that has a control socket
@@ -73,12 +73,12 @@ class Beat:
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """Report: the new configuration is taken up."""
+    """Report: the new configuration is taken up (or was refused, by a service with a file of its own)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Restart:
-    """Report: the new configuration needs a restart of this worker."""
+    """Report: the new configuration needs a restart of this worker; a service restarts itself."""
 
     why: str
 

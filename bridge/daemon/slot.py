@@ -321,7 +321,12 @@ class Slot:
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def _restart(self, why: str) -> None:
-        self.stop(why)
+        if self.is_service and self._link is not None:  # it does so by itself, and is then found again
+            logger.info("%s starts again: %s", self.name, why)
+            self.phase, self.text = Phase.STOPPING, why
+            self._due = time.monotonic() + self._timing.stop
+        else:
+            self.stop(why)
         self._then_start = True
 
     def stop(self, why: str, seconds: float | None = None) -> None:

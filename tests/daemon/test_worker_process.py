@@ -205,6 +205,45 @@ def test_service_takes_up_the_daemons_configuration(daemon: Daemon) -> None:
     assert len(daemon.pids("router")) == 1
 
 
+def test_service_restarts_itself_for_a_configuration_that_needs_it(daemon: Daemon) -> None:
+    daemon.order("router", "refuse-reload")
+    daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    router = daemon.wait_started("router")
+    process = daemon.start("--adopt", "router")
+    daemon.wait_ready(process)
+    daemon.configure("hub: {domain: 3}\n")
+    process.signal(signal.SIGHUP)
+    assert daemon.wait_started("router", 2) == router
+    until(lambda: process.output().count("router is up") == 2, "found again")
+    assert "restarted in" not in process.output()
+
+
+def test_daemon_with_another_file_does_not_change_a_service(daemon: Daemon) -> None:
+    daemon.order("router", "refuse-reload")
+    daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    daemon.wait_started("router")
+    other = daemon.folder / "other.yaml"
+    other.write_text(daemon.file.read_text() + "hub: {domain: 9}\n")
+    process = daemon.midspan("run", "--adopt", "router", "--config", str(other))
+    daemon.wait_ready(process)
+    assert len(daemon.pids("router")) == 1
+    assert daemon.events("router", "reload") == []
+
+
+def test_service_that_is_switched_off_ends_without_failing(daemon: Daemon) -> None:
+    daemon.configure("hub: {router: false}\n")
+    process = daemon.midspan("worker", "router", "--control", "--config", str(daemon.file))
+    assert process.popen.wait(20) == 0
+    assert "router is switched off by the configuration" in process.output()
+
+
+def test_broken_configuration_at_the_start(daemon: Daemon) -> None:
+    daemon.configure("hubb: 1\n")
+    process = daemon.start()
+    assert process.popen.wait(20) == 78
+    assert process.output() == f"{daemon.file}:3:1: hubb: unknown key 'hubb'; did you mean 'hub'?\n"
+
+
 def test_service_of_a_side_is_not_killed_by_a_daemon_of_the_same_name(daemon: Daemon) -> None:
     daemon.midspan("worker", "ros1", "--config", str(daemon.file))
     pid = daemon.wait_started("ros1")
