@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
 from bridge.messages.json import from_json
@@ -107,33 +112,28 @@ def _time(call: Callable[[], object], times: int) -> float:
     return (time.perf_counter() - start) / times
 
 
-def measure(rounds: int) -> list[Row]:
-    """All rows."""
+def measure_case(case: str, name: str, values: Mapping[str, Any], rounds: int) -> list[Row]:
+    """The rows of one message."""
     registry = Registry()
     store = get_typestore(Stores.ROS2_JAZZY)
-    rows = []
-    for case, (name, values) in CASES.items():
-        cdr = from_json(registry, name, values)
-        back = registry.hub_to_ros1(name)
-        there = registry.ros1_to_hub(back.target.name)
-        assert back.convert is not None
-        assert there.convert is not None
-        to_ros1, to_cdr = back.convert, there.convert
-        ros1 = to_ros1(cdr)
-        if to_cdr(ros1) != cdr or bytes(store.ros1_to_cdr(ros1, name)) != cdr:
-            msg = f"{case}: the two conversions differ"
-            raise SystemExit(msg)
-        pairs: dict[str, tuple[Callable[[], object], Callable[[], object]]] = {
-            "ROS 1 to CDR, rosbags": (lambda: to_cdr(ros1), lambda: store.ros1_to_cdr(ros1, name)),
-            "CDR to ROS 1, rosbags": (lambda: to_ros1(cdr), lambda: store.cdr_to_ros1(cdr, name)),
-        }
-        if len(cdr) >= BULK:
-            source1, source2 = bytearray(ros1), bytearray(cdr)
-            pairs["ROS 1 to CDR, bare copy"] = (lambda: to_cdr(ros1), lambda: bytes(source1))
-            pairs["CDR to ROS 1, bare copy"] = (lambda: to_ros1(cdr), lambda: bytes(source2))
-        for way, (ours, peer) in pairs.items():
-            rows.append(Row(f"{case}, {way}", *compare(ours, peer, rounds), "us"))
-    return rows
+    cdr = from_json(registry, name, values)
+    back = registry.hub_to_ros1(name)
+    to_ros1, to_cdr = back.convert, registry.ros1_to_hub(back.target.name).convert
+    assert to_ros1 is not None
+    assert to_cdr is not None
+    ros1 = to_ros1(cdr)
+    if to_cdr(ros1) != cdr or bytes(store.ros1_to_cdr(ros1, name)) != cdr:
+        msg = f"{case}: the two conversions differ"
+        raise SystemExit(msg)
+    pairs: dict[str, tuple[Callable[[], object], Callable[[], object]]] = {
+        "ROS 1 to CDR, rosbags": (lambda: to_cdr(ros1), lambda: store.ros1_to_cdr(ros1, name)),
+        "CDR to ROS 1, rosbags": (lambda: to_ros1(cdr), lambda: store.cdr_to_ros1(cdr, name)),
+    }
+    if len(cdr) >= BULK:
+        source1, source2 = bytearray(ros1), bytearray(cdr)
+        pairs["ROS 1 to CDR, bare copy"] = (lambda: to_cdr(ros1), lambda: bytes(source1))
+        pairs["CDR to ROS 1, bare copy"] = (lambda: to_ros1(cdr), lambda: bytes(source2))
+    return [Row(f"{case}, {way}", *compare(*calls, rounds), "us") for way, calls in pairs.items()]
 
 
 def main() -> None:
@@ -142,7 +142,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15, help="rounds of each comparison (default 15)")
     add_json_option(parser)
     options = parser.parse_args()
-    report(measure(options.rounds), options.json)
+    rows = [row for case, (name, values) in CASES.items() for row in measure_case(case, name, values, options.rounds)]
+    report(rows, options.json)
 
 
 if __name__ == "__main__":
