@@ -12,7 +12,7 @@ setup: ## install what is missing; done by the others
 	@scripts/setup.sh
 
 demo: setup ## real ROS 1, ROS 2 and zenoh programs, bridged (STAY=1 stays, JSON=FILE writes what was seen)
-	@$(BIN)/midspan demo $(if $(STAY),--stay) $(if $(JSON),--json '$(JSON)')
+	@$(BIN)/midspan demo $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
 
 test: setup ## all tests, on the real middlewares (ARGS='tests/hub -k latched' for some)
 	@$(BIN)/python -m pytest -p no:cacheprovider $(ARGS)
@@ -27,7 +27,7 @@ types: setup ## mypy
 check: lint types test ## lint, types and tests
 
 bench: setup ## every benchmark, one after the other
-	@set -e; for file in benchmarks/[a-z]*.py; do echo "== $$file"; $(BIN)/python $$file; done
+	@set -e; for file in $$(grep -l __main__ benchmarks/*.py); do echo "== $$file"; $(BIN)/python $$file; done
 
 lock: setup ## choose the newest versions that fit, and write the lock files
 	@$(BIN)/python scripts/lock.py

@@ -65,6 +65,10 @@ system_packages() {
     if [ -z "$missing" ]; then
         return
     fi
+    if [ "$missing" = "$(cat .cache/not-to-be-had 2>/dev/null)" ]; then
+        lacking "still not to be had from apt: $missing(remove .cache/not-to-be-had to try again)"
+        return
+    fi
     if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
         lacking "neither root nor sudo: ask for: apt-get install $missing"
         return
@@ -87,6 +91,12 @@ system_packages() {
     if [ -n "$known" ] && ! as_root DEBIAN_FRONTEND=noninteractive \
         apt-get -q install -y --no-install-recommends $known >&2; then
         lacking "apt-get could not install:$known"
+        return
+    fi
+    if [ -n "$unknown" ]; then
+        mkdir -p .cache
+        # shellcheck disable=SC2086
+        not_installed $tools $ros1 >.cache/not-to-be-had
     fi
 }
 

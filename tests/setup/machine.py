@@ -1,0 +1,104 @@
+"""A pretended machine for `scripts/setup.sh`: its commands are small scripts that write down how they were called."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+_TOOLS = ("cat", "chmod", "dirname", "env", "mkdir", "rm", "sed", "sh", "sha256sum", "touch", "tr")
+
+_PYTHON = """#!/bin/sh
+echo "python $*" >>"$LOG"
+case "$*" in
+    *"-m venv"*)
+        mkdir -p .venv/bin
+        cat "$0" >.venv/bin/python
+        chmod +x .venv/bin/python
+        ;;
+    *"pip install"*requirements-ros2.lock*) [ -z "${NO_WHEELS:-}" ] ;;
+    *"--editable ."*)
+        printf '#!/bin/sh\\necho "midspan $*" >>"$LOG"\\n' >.venv/bin/midspan
+        chmod +x .venv/bin/midspan
+        ;;
+    *"import rclpy"*) [ -z "${NO_WHEELS:-}" ] ;;
+esac
+"""
+_DPKG_QUERY = """#!/bin/sh
+shift 2
+for package in "$@"; do
+    case " $NOT_INSTALLED " in
+        *" $package "*) ;;
+        *) echo "installed:$package" ;;
+    esac
+done
+"""
+_APT_CACHE = """#!/bin/sh
+case " $NOT_IN_ARCHIVE " in *" $2 "*) exit 100 ;; esac
+"""
+
+
+class Machine:
+    """A checkout on a pretended machine.
+
+    Args:
+        folder: where to put it.
+        apt: whether the machine has apt.
+        user: the user's number; 0 is root.
+        sudo: whether the user may become root.
+    """
+
+    def __init__(self, folder: Path, *, apt: bool = True, user: int = 0, sudo: bool = False) -> None:
+        self.checkout = folder / "checkout"
+        self._bin = folder / "bin"
+        self._log = folder / "log"
+        (self.checkout / "scripts").mkdir(parents=True)
+        self._bin.mkdir()
+        for file in ("scripts/setup.sh", "pyproject.toml", "requirements.lock", "requirements-ros2.lock"):
+            shutil.copy(ROOT / file, self.checkout / file)
+        for tool in _TOOLS:
+            (self._bin / tool).symlink_to(shutil.which(tool) or tool)
+        self._command("python3", _PYTHON)
+        self._command("id", f"#!/bin/sh\necho {user}\n")
+        if apt:
+            self._command("dpkg-query", _DPKG_QUERY)
+            self._command("apt-cache", _APT_CACHE)
+            self._command("apt-get", '#!/bin/sh\necho "apt-get $*" >>"$LOG"\n')
+        if sudo:
+            self._command("sudo", '#!/bin/sh\necho "sudo $*" >>"$LOG"\n[ "$1" = -n ] && shift\nexec "$@"\n')
+
+    def _command(self, name: str, text: str) -> None:
+        (self._bin / name).write_text(text, encoding="utf-8")
+        (self._bin / name).chmod(0o755)
+
+    def setup(self, **variables: str) -> subprocess.CompletedProcess[str]:
+        """Run the set-up script; what it called is in `calls` afterwards."""
+        self._log.write_text("", encoding="utf-8")
+        env = {
+            "PATH": str(self._bin),
+            "LOG": str(self._log),
+            "PYTHON": "python3",
+            "HOME": str(self.checkout),
+            **variables,
+        }
+        script = self.checkout / "scripts" / "setup.sh"
+        return subprocess.run(
+            ["/bin/sh", script],
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            timeout=60,
+        )
+
+    @property
+    def calls(self) -> list[str]:
+        """What the last run called, without questions to Python."""
+        lines = self._log.read_text(encoding="utf-8").splitlines()
+        return [line for line in lines if not line.startswith("python -c") and line != "python -V"]
+
+    def called(self, *words: str) -> list[str]:
+        """The calls that have all these words."""
+        return [line for line in self.calls if all(word in line for word in words)]

@@ -1,0 +1,107 @@
+"""`scripts/setup.sh` on pretended machines: what it installs, when, and what it does where something cannot be had."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.setup.machine import Machine
+
+
+def test_a_fresh_machine_gets_everything_once(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    assert machine.setup().returncode == 0
+    assert not machine.called("apt-get"), "all packages are there"
+    assert [call.split()[1:3] for call in machine.called("venv")] == [["-m", "venv"]]
+    installs = machine.called("pip install")
+    assert ["--no-deps" in call for call in installs] == [True, True, True]
+    assert [call.split()[-1] for call in installs] == ["requirements.lock", "requirements-ros2.lock", "."]
+    assert machine.calls[-1] == "midspan interfaces build"
+    assert machine.setup().returncode == 0
+    assert machine.calls == ["midspan interfaces build"]
+
+
+def test_a_new_lock_file_is_installed(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup()
+    with (machine.checkout / "requirements.lock").open("a", encoding="utf-8") as lock:
+        lock.write("more==1.0\n")
+    machine.setup()
+    assert machine.called("requirements.lock")
+    assert not machine.called("venv"), "the virtual environment stays"
+
+
+def test_a_checkout_that_was_moved_is_set_up_anew(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup()
+    machine.checkout = machine.checkout.rename(tmp_path / "moved here")
+    assert machine.setup().returncode == 0
+    assert machine.called("venv", "--clear")
+
+
+def test_a_sourced_ros2_is_used_instead_of_the_wheels(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup()
+    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
+    assert machine.setup(**sourced).returncode == 0
+    assert machine.called("venv", "--clear"), "the wheels are in the way"
+    assert not machine.called("requirements-ros2.lock")
+    machine.setup(**sourced)
+    assert machine.calls == ["midspan interfaces build"]
+
+
+def test_missing_packages_are_installed_as_root(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup(NOT_INSTALLED="g++ python3-rospy")
+    assert [call.split()[-2:] for call in machine.called("apt-get", "install")] == [["g++", "python3-rospy"]]
+
+
+def test_missing_packages_are_installed_with_sudo(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, user=1000, sudo=True)
+    assert machine.setup(NOT_INSTALLED="python3-rospy").returncode == 0
+    assert machine.called("sudo -n env", "apt-get", "install", "python3-rospy")
+
+
+LACKING: list[tuple[str, dict[str, bool | int], dict[str, str], str]] = [
+    ("no apt", {"apt": False}, {}, "no apt on this system"),
+    ("no root", {"user": 1000}, {"NOT_INSTALLED": "python3-rospy"}, "ask for: apt-get install python3-rospy"),
+    (
+        "not in the archive",
+        {},
+        {"NOT_INSTALLED": "python3-rospy", "NOT_IN_ARCHIVE": "python3-rospy"},
+        "archive: python3-rospy",
+    ),
+    ("no wheels", {}, {"NO_WHEELS": "1"}, "ROS 2 (DDS) is left out"),
+]
+
+
+@pytest.mark.parametrize(("machine", "variables", "word"), [case[1:] for case in LACKING], ids=[c[0] for c in LACKING])
+def test_what_cannot_be_had_is_said_and_is_an_error_in_ci(
+    tmp_path: Path, machine: dict[str, bool], variables: dict[str, str], word: str
+) -> None:
+    at_home = Machine(tmp_path / "home", **machine)
+    done = at_home.setup(**variables)
+    assert word in done.stderr
+    assert done.returncode == 0
+    assert at_home.called("--editable"), "the rest is installed"
+    in_ci = Machine(tmp_path / "ci", **machine).setup(**variables, CI="true")
+    assert word in in_ci.stderr
+    assert in_ci.returncode != 0
+
+
+def test_apt_is_not_asked_again_for_what_it_does_not_have(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    lacking = {"NOT_INSTALLED": "python3-rospy", "NOT_IN_ARCHIVE": "python3-rospy"}
+    machine.setup(**lacking)
+    assert machine.called("apt-get", "update")
+    done = machine.setup(**lacking)
+    assert "python3-rospy" in done.stderr
+    assert not machine.called("apt-get")
+
+
+def test_wheels_that_failed_are_tried_again(tmp_path: Path) -> None:
+    machine = Machine(tmp_path)
+    machine.setup(NO_WHEELS="1")
+    machine.setup()
+    assert machine.called("requirements-ros2.lock")
