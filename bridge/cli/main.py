@@ -28,14 +28,11 @@ def build_parser(loaded: Iterable[str]) -> argparse.ArgumentParser:
         epilog="'midspan VERB --help' tells more about each.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
-    parser.add_argument("--debug", action="store_true", help="show tracebacks")
+    parser.add_argument("--debug", action="store_true", help="show tracebacks (may stand anywhere)")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=False)
     for name, verb in VERBS.items():
         if name in loaded:
             _module(name).register(subparsers)
-            subparsers.choices[name].add_argument(
-                "--debug", action="store_true", default=argparse.SUPPRESS, help="show tracebacks"
-            )
         else:
             subparsers.add_parser(name, help=verb.help)
     return parser
@@ -54,7 +51,8 @@ def _named_verb(arguments: Sequence[str]) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in arguments
+    debug = "--debug" in arguments  # anywhere, also behind the verb
+    arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         parser = build_parser(_named_verb(arguments))
         args = parser.parse_args(arguments)

@@ -1,0 +1,159 @@
+"""The files of the systemd services: where they go, and what is written into them."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import bridge
+from bridge.config import generate
+
+UNITS = ("midspan-router.service", "midspan.service")
+UNIT_FOLDER = Path("etc/systemd/system")
+OWN_USER = "midspan"
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """One file of the installation.
+
+    Attributes:
+        path: below the root.
+        text: what is in it.
+        kept: the administrator's own once it is there: never overwritten or removed.
+        mode: permissions.
+    """
+
+    path: Path
+    text: str
+    kept: bool = False
+    mode: int = 0o644
+
+
+class Installation:
+    """The services below a root folder.
+
+    Args:
+        root: ``/``, or a folder that stands for it.
+        user: the services' user; the default one is made by systemd-sysusers.
+        dry_run: only say what would be done.
+    """
+
+    def __init__(self, root: Path, user: str = OWN_USER, *, dry_run: bool = False) -> None:
+        self._root = root.absolute()
+        self._user = user
+        self._dry_run = dry_run
+
+    def files(self) -> list[Installed]:
+        """All files."""
+        files = [Installed(UNIT_FOLDER / name, self._unit(name)) for name in UNITS]
+        if self._user == OWN_USER:
+            files.append(Installed(Path("etc/sysusers.d/midspan.conf"), _template("packaging/midspan.sysusers")))
+        settings = Path("etc/midspan")
+        return [
+            *files,
+            Installed(settings / generate.SCHEMA_FILE, generate.schema()),
+            Installed(settings / "midspan.yaml", _template("configs/default.yaml"), kept=True),
+            Installed(settings / "environment", _template("packaging/environment"), kept=True, mode=0o640),
+        ]
+
+    def _unit(self, name: str) -> str:
+        text = _template(f"packaging/{name}").replace("@MIDSPAN@", midspan_command())
+        return text.replace(f"\nUser={OWN_USER}\n", f"\nUser={self._user}\n")
+
+    def install(self) -> list[str]:
+        """Write what is not there as it should be; returns what was done and what to do next, for people."""
+        lines = [self._write(file) for file in self.files()]
+        lines += ["", *self._warnings(), "Next:"]
+        if self._user == OWN_USER:
+            lines.append("  systemd-sysusers                         # makes the user midspan")
+        return [
+            *lines,
+            "  midspan config check /etc/midspan/midspan.yaml",
+            "  systemctl daemon-reload",
+            "  systemctl enable --now midspan-router midspan",
+            "  systemctl status midspan                 # and after changes: systemctl reload midspan",
+        ]
+
+    def _write(self, file: Installed) -> str:
+        path = self._root / file.path
+        if path.exists() and file.kept:
+            return f"kept       {path}"
+        old = path.read_text() if path.exists() else None
+        if old == file.text:
+            return f"unchanged  {path}"
+        if not self._dry_run:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            new = path.with_name(path.name + ".new")
+            new.write_text(file.text)
+            new.chmod(file.mode)
+            new.replace(path)
+        what = "written" if old is None else "replaced"
+        return f"{'would be ' if self._dry_run else ''}{what:9}  {path}"
+
+    def _warnings(self) -> list[str]:
+        folder = _closed_folder(Path(sys.executable).absolute().parent)
+        if folder is None:
+            return []
+        return [
+            f"Warning: the services' user cannot enter {folder}, and Midspan is installed below it.",
+            "Install it where all users may read, for example in /opt/midspan, or give '--user' a user who may.",
+            "",
+        ]
+
+    def uninstall(self) -> list[str]:
+        """Remove what `install` wrote, but the administrator's own files."""
+        lines = []
+        for file in self.files():
+            path = self._root / file.path
+            if not path.exists():
+                continue
+            if file.kept:
+                lines.append(f"kept       {path}")
+                continue
+            if not self._dry_run:
+                path.unlink()
+            lines.append(f"{'would be ' if self._dry_run else ''}removed    {path}")
+        if not lines:
+            return [f"nothing of Midspan is installed below {self._root}"]
+        return [
+            *lines,
+            "",
+            "Next:",
+            "  systemctl disable --now midspan midspan-router",
+            "  systemctl daemon-reload",
+            "  rm -r /etc/midspan /var/lib/midspan /var/cache/midspan /var/log/midspan   # if you want none of it",
+        ]
+
+
+def midspan_command() -> str:
+    """The command of a unit's ExecStart: the script beside this Python, else this Python with our module."""
+    script = Path(sys.executable).absolute().with_name("midspan")
+    if script.exists():
+        return _quoted(str(script))
+    return " ".join(_quoted(part) for part in (str(Path(sys.executable).absolute()), "-P", "-m", "bridge.cli.main"))
+
+
+def _quoted(word: str) -> str:
+    """A word of ExecStart: systemd reads quotes as a shell does, and % and $ in its own way."""
+    return shlex.quote(word.replace("%", "%%").replace("$", "$$"))
+
+
+def _closed_folder(folder: Path) -> Path | None:
+    """The outermost folder on the way that other users cannot enter."""
+    for part in reversed([folder, *folder.parents]):
+        if not part.stat().st_mode & 0o001:
+            return part
+    return None
+
+
+def _template(name: str) -> str:
+    """A file of the checkout, or of what an installed wheel put beside its Python."""
+    for folder in (Path(bridge.__file__).parents[1], Path(sys.prefix) / "share" / "midspan"):
+        file = folder / name
+        if file.is_file():
+            return file.read_text()
+    msg = f"{name} is missing from this installation of Midspan; install it again"
+    raise RuntimeError(msg)

@@ -1,0 +1,102 @@
+"""The command's frame: verbs, help, errors and exit codes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bridge.cli.main import main
+from bridge.cli.verbs import VERBS
+
+
+def midspan(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "bridge.cli.main", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+
+def test_help_names_every_verb_and_imports_none(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--help"])
+    assert ended.value.code == 0
+    said = capsys.readouterr().out
+    for name, verb in VERBS.items():
+        assert name in said
+        assert verb.help in " ".join(said.split())
+    code = (
+        "import sys, contextlib\nfrom bridge.cli.main import main\n"
+        "with contextlib.suppress(SystemExit): main(['--help'])\n"
+        "heavy = {'pydantic', 'zenoh', 'numpy', 'rich', 'rosbags', 'ruamel'} & set(sys.modules)\n"
+        "sys.exit(', '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_and_its_line_in_the_table(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    module = importlib.import_module(VERBS[verb].module)
+    assert callable(module.register)
+    assert callable(module.run)
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    assert f"usage: midspan {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["nonsense"], ["run", "--nonsense"], ["worker"], ["worker", "ros3"], ["config"]]
+)
+def test_wrong_usage_is_exit_code_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        code: object = main(arguments)
+    except SystemExit as ended:
+        code = ended.code
+    assert code == 2
+    assert "usage: midspan" in capsys.readouterr().err
+
+
+def test_failure_is_one_line_without_traceback(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config", "check", str(tmp_path / "none.yaml")]) == 1
+    assert capsys.readouterr().err == f"{tmp_path}/none.yaml: no such file\n"
+
+
+def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(_args: object) -> int:
+        raise KeyError("why")
+
+    monkeypatch.setattr("bridge.cli.config.run", fail)
+    assert main(["config", "schema"]) == 1
+    assert capsys.readouterr().err == "midspan: KeyError: 'why' (--debug shows where)\n"
+    for arguments in (["--debug", "config", "schema"], ["config", "schema", "--debug"]):
+        with pytest.raises(KeyError):
+            main(arguments)
+
+
+def test_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(_args: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bridge.cli.config.run", interrupt)
+    assert main(["config", "schema"]) == 130
+
+
+def test_reader_that_goes_away_is_no_error() -> None:
+    done = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m bridge.cli.main config schema | head -n 1"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ,
+    )
+    assert (done.stdout, done.stderr) == ("{\n", "")
+
+
+def test_version() -> None:
+    done = midspan("--version")
+    assert done.returncode == 0
+    assert done.stdout.startswith("midspan ")

@@ -1,0 +1,132 @@
+"""The systemd services: what is put in place, and what systemd itself says of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from bridge.cli.main import main
+from bridge.config import load
+from bridge.daemon.install import UNIT_FOLDER, UNITS
+
+ROOT = Path(__file__).parents[2]
+
+
+def units(root: Path) -> list[str]:
+    return [(root / UNIT_FOLDER / name).read_text() for name in UNITS]
+
+
+def test_installs_units_configuration_and_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install", "--root", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "systemctl enable --now midspan-router midspan" in said
+    assert "systemd-sysusers" in said
+    for text in units(tmp_path):
+        assert "@MIDSPAN@" not in text
+        command = re.search(r"^ExecStart=(\S+)", text, re.MULTILINE)
+        assert command is not None
+        assert os.access(command[1], os.X_OK)
+    load(tmp_path / "etc/midspan/midspan.yaml")
+    assert (tmp_path / "etc/midspan/environment").stat().st_mode & 0o777 == 0o640
+    assert "u midspan " in (tmp_path / "etc/sysusers.d/midspan.conf").read_text()
+
+
+def test_own_files_are_kept_and_the_rest_brought_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["install", "--root", str(tmp_path)])
+    own = tmp_path / "etc/midspan/midspan.yaml"
+    own.write_text("name: mine\n")
+    unit = tmp_path / UNIT_FOLDER / "midspan.service"
+    unit.write_text("old")
+    capsys.readouterr()
+    main(["install", "--root", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert own.read_text() == "name: mine\n"
+    assert f"kept       {own}" in said
+    assert re.search(rf"replaced +{unit}", said)
+    assert f"unchanged  {tmp_path / UNIT_FOLDER / 'midspan-router.service'}" in said
+    main(["install", "--root", str(tmp_path), "--uninstall"])
+    assert own.exists()
+    assert not unit.exists()
+    assert not (tmp_path / "etc/sysusers.d/midspan.conf").exists()
+
+
+def test_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install", "--root", str(tmp_path), "--dry-run"]) == 0
+    assert "would be written" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
+    assert main(["install", "--root", str(tmp_path), "--uninstall"]) == 0
+    assert "nothing of Midspan is installed" in capsys.readouterr().out
+
+
+def test_another_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["install", "--root", str(tmp_path), "--user", "robot"]) == 0
+    assert all("\nUser=robot\n" in text for text in units(tmp_path))
+    assert not (tmp_path / "etc/sysusers.d").exists()
+    assert main(["install", "--root", str(tmp_path), "--user", "no\nExecStart=/bin/sh"]) == 1
+    assert "is not a user's name" in capsys.readouterr().err
+
+
+def test_units_keep_what_the_middlewares_need(tmp_path: Path) -> None:
+    main(["install", "--root", str(tmp_path)])
+    for text in units(tmp_path):
+        lines = text.splitlines()
+        assert "RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK" in lines
+        assert not any(line.startswith(("MemoryDenyWriteExecute=", "PrivateIPC=", "PrivateNetwork=")) for line in lines)
+        assert {"StateDirectory=midspan", "CacheDirectory=midspan", "LimitNOFILE=65536"} <= set(lines)
+        assert "ROS_LOG_DIR=/var/log/midspan" in text
+        assert "NUMBA_CACHE_DIR=/var/cache/midspan" in text
+
+
+def systemd_analyze() -> str:
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        assert not os.environ.get("CI"), "in CI systemd-analyze must be there: apt install systemd"
+        pytest.skip("systemd-analyze is not installed (apt install systemd)")
+    return program
+
+
+def analyze(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "SYSTEMD_UNIT_PATH": f"{root / UNIT_FOLDER}:", "SYSTEMD_COLORS": "0"}
+    return subprocess.run([systemd_analyze(), *arguments], env=env, capture_output=True, text=True, check=False)
+
+
+def test_systemd_finds_nothing_wrong(tmp_path: Path) -> None:
+    main(["install", "--root", str(tmp_path)])
+    for name in UNITS:
+        done = analyze(tmp_path, "verify", "--man=no", "--recursive-errors=yes", str(tmp_path / UNIT_FOLDER / name))
+        ours = [line for line in (done.stdout + done.stderr).splitlines() if "midspan" in line]
+        assert ours == []
+        assert done.returncode == 0, done.stderr
+
+
+def test_systemd_would_find_a_mistake(tmp_path: Path) -> None:
+    main(["install", "--root", str(tmp_path)])
+    unit = tmp_path / UNIT_FOLDER / "midspan.service"
+    unit.write_text(unit.read_text().replace("WatchdogSec=10", "WatchdogSecs=10"))
+    done = analyze(tmp_path, "verify", "--man=no", str(unit))
+    assert "WatchdogSecs" in done.stdout + done.stderr
+
+
+def test_security_score(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["install", "--root", str(tmp_path)])
+    capsys.readouterr()
+    for name in UNITS:
+        done = analyze(tmp_path, "security", "--offline=yes", "--no-pager", str(tmp_path / UNIT_FOLDER / name))
+        level = re.search(r"Overall exposure level for (\S+): ([\d.]+) (\w+)", done.stdout)
+        assert level is not None, done.stdout + done.stderr
+        with capsys.disabled():
+            print(f"\nsystemd-analyze security {name}: {level[2]} {level[3]}")
+
+
+def test_services_user_can_be_made(tmp_path: Path) -> None:
+    program = shutil.which("systemd-sysusers")
+    if program is None:
+        pytest.skip("systemd-sysusers is not installed (apt install systemd)")
+    main(["install", "--root", str(tmp_path)])
+    subprocess.run([program, f"--root={tmp_path}"], capture_output=True, check=True)
+    assert re.search(r"^midspan:x:\d+:\d+:[^:]*:/var/lib/midspan:", (tmp_path / "etc/passwd").read_text(), re.MULTILINE)
