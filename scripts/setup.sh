@@ -138,7 +138,7 @@ environment() {
         "$python" -m venv --clear .venv
         printf '%s\n' "$made_for" >.venv/midspan-place
     fi
-    say "installing the locked dependencies"
+    say "installing the locked dependencies (a minute or two)"
     pip_install -r requirements.lock
     if [ "$source" != wheels ]; then
         say "using the ROS 2 that is sourced ($AMENT_PREFIX_PATH)"
