@@ -29,6 +29,9 @@ _log = logging.getLogger(__name__)
 BULK = 64 * 1024
 """Bytes from which a message goes to the dispatcher for large ones, so that it delays no small one."""
 
+STREAM_DEPTH = 50
+"""History of a stream's publisher at least, so that a burst finds room."""
+
 MAX_PENDING = 64
 _STATIC = "static transforms"
 
@@ -115,7 +118,7 @@ class OutRoute(Route):
             depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
             self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)
         if self._volatile is None and any(not s.latched for s in self._sources.values()):
-            depth = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
+            depth = max(STREAM_DEPTH, *(s.endpoint.qos.depth for s in self._sources.values() if not s.latched))
             self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
 
     def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:

@@ -21,7 +21,7 @@ from tests.support.hub import HubNetwork
 SIDES: dict[str, Callable[..., Side]] = {"fake": FakeSide, "ros1": Ros1Side, "ros2": Ros2Side}
 
 
-@pytest.fixture()
+@pytest.fixture
 def hubs() -> Iterator[HubNetwork]:
     with HubNetwork() as network:
         yield network
@@ -36,7 +36,7 @@ def side(request: pytest.FixtureRequest, hubs: HubNetwork) -> Iterator[Side]:
         made.close()
 
 
-@pytest.fixture()
+@pytest.fixture
 def far(hubs: HubNetwork) -> Iterator[HubSide]:
     """The far end of every route: a native participant of the hub."""
     hub = Hub.open(hubs.settings("far"))
@@ -46,7 +46,7 @@ def far(hubs: HubNetwork) -> Iterator[HubSide]:
         hub.close()
 
 
-@pytest.fixture()
+@pytest.fixture
 def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config]:
     """Makes configurations for the side under test: ``config(rules=[...], default="allow")``."""
 
@@ -65,7 +65,7 @@ def config(side: Side, hubs: HubNetwork, tmp_path: Path) -> Callable[..., Config
     return make
 
 
-@pytest.fixture()
+@pytest.fixture
 def bridge(side: Side, config: Callable[..., Config]) -> Bridge:
     """A worker with the default rules."""
     return side.bridge(config())

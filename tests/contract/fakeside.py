@@ -6,12 +6,12 @@ import itertools
 import threading
 from typing import Any
 
+from bridge.adapters.base import MadeBy
 from bridge.config.model import Config
 from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.adapters.base import MadeBy
+from bridge.hub.session import Hub
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from bridge.hub.session import Hub
 from bridge.routing.engine import Engine
 from tests.contract.hubside import ros2_name
 from tests.contract.side import CUSTOM_FOLDER, Side
@@ -69,7 +69,7 @@ class FakePeer:
         for endpoint in self._network.endpoints():
             if endpoint.kind.value == "publisher":
                 publishers.setdefault(endpoint.topic, []).append(endpoint.node)
-        return {"publishers": publishers}
+        return {"publishers": publishers, "subscriptions": {}}
 
     def stop(self, seconds: float = 6.0) -> int:
         for endpoint in list(self._things):

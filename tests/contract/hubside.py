@@ -62,6 +62,16 @@ class HubSide:
             self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
             return list(self._heard[endpoint])
 
+    def wait_without(self, endpoint: int, probe: str, count: int) -> list[dict[str, Any]]:
+        """All that was heard but the probes, once so many others have come."""
+
+        def others() -> list[dict[str, Any]]:
+            return [m for m in self._heard[endpoint] if m["data"] != probe]
+
+        with self._changed:
+            self._changed.wait_for(lambda: len(others()) >= count, 10.0)
+            return others()
+
     def drop(self, endpoint: int) -> None:
         if endpoint in self._publishers:
             self._publishers.pop(endpoint)[0].close()

@@ -10,8 +10,8 @@ from typing import Any
 from bridge.adapters.ros2.environment import worker_environment
 from bridge.config.model import Config
 from bridge.interfaces.builder import build
-from bridge.interfaces.paths import environment
 from bridge.interfaces.folders import read_folders
+from bridge.interfaces.paths import environment
 from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer

@@ -4,27 +4,31 @@ from __future__ import annotations
 
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
+from tests.support.wait import until
 
 STRING = "std_msgs/String"
 
 
 def test_side_to_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
-    out = peer.advertise("/chatter", STRING)
+    out = peer.advertise("/chatter", STRING, depth=100)
     heard = far.subscribe("/chatter", STRING)
     far.until_route("/chatter", "in")
+    far.publish_until(peer, out, {"data": "probe"}, lambda: far.wait(heard, 1, 0.2))
     for n in range(50):
         peer.publish(out, {"data": f"number {n}"})
-    assert far.wait(heard, 50) == [{"data": f"number {n}"} for n in range(50)]
+    expected = [f"number {n}" for n in range(50)]
+    assert [m["data"] for m in far.wait_without(heard, "probe", 50)] == expected
 
 
 def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
-    heard = peer.subscribe("/orders", STRING)
+    heard = peer.subscribe("/orders", STRING, depth=100)
     out = far.advertise("/orders", STRING)
     _until_heard(far, out, peer, heard)
     for n in range(50):
         far.publish(out, {"data": f"number {n}"})
+    until(lambda: {"data": "number 49"} in peer.wait(heard, 51, 0.2), "the last one")
     got = [m["data"] for m in peer.wait(heard, 51) if m["data"] != "probe"]
     assert got == [f"number {n}" for n in range(50)]
 
@@ -32,20 +36,22 @@ def test_hub_to_side(side: Side, bridge: Bridge, far: HubSide) -> None:
 def test_same_topic_both_ways_does_not_loop(side: Side, bridge: Bridge, far: HubSide) -> None:
     peer = side.peer()
     from_peer = peer.advertise("/both", STRING)
-    at_peer = peer.subscribe("/both", STRING)
+    at_peer = peer.subscribe("/both", STRING, depth=100)
     from_far = far.advertise("/both", STRING)
     at_far = far.subscribe("/both", STRING)
     far.until_route("/both", "in")
     _until_heard(far, from_far, peer, at_peer)
+    far.publish_until(peer, from_peer, {"data": "probe"}, lambda: far.wait(at_far, 1, 0.2))
     for n in range(10):
         peer.publish(from_peer, {"data": f"peer {n}"})
         far.publish(from_far, {"data": f"far {n}"})
-    expected = [f"peer {n}" for n in range(10)]
-    assert [m["data"] for m in far.wait(at_far, 10)] == expected
     peer.publish(from_peer, {"data": "end"})
-    assert [m["data"] for m in far.wait(at_far, 11)] == [*expected, "end"]
-    heard = [m["data"] for m in peer.wait(at_peer, 10 + 10 + 1 + 1)]
-    assert sorted(m for m in heard if m.startswith("far")) == [f"far {n}" for n in range(10)]
+    far.publish(from_far, {"data": "end"})
+    expected = [f"peer {n}" for n in range(10)]
+    assert [m["data"] for m in far.wait_without(at_far, "probe", 11)] == [*expected, "end"]
+    until(lambda: [m["data"] for m in peer.wait(at_peer, 22, 0.2)].count("end") == 2, "both ends")
+    heard = [m["data"] for m in peer.wait(at_peer, 23, 0.5)]
+    assert [m for m in heard if m.startswith("far")] == [f"far {n}" for n in range(10)]
     assert [m for m in heard if m.startswith("peer")] == expected
 
 
@@ -54,9 +60,8 @@ def test_two_types_of_messages(side: Side, bridge: Bridge, far: HubSide) -> None
     twist = {"linear": {"x": 1.0, "y": 2.0, "z": 3.0}, "angular": {"x": 4.0, "y": 5.0, "z": 6.0}}
     out = peer.advertise("/speed", "geometry_msgs/Twist")
     heard = far.subscribe("/speed", "geometry_msgs/Twist")
-    far.until_route("/speed", "in")
-    peer.publish(out, twist)
-    assert far.wait(heard, 1) == [twist]
+    far.publish_until(peer, out, twist, lambda: far.wait(heard, 1, 0.2))
+    assert far.wait(heard, 1)[0] == twist
 
 
 def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None:
@@ -71,8 +76,8 @@ def test_custom_type_both_ways(side: Side, bridge: Bridge, far: HubSide) -> None
     out = peer.advertise("/things", "contract_msgs/Thing")
     heard = far.subscribe("/things", "contract_msgs/Thing")
     far.until_route("/things", "in", 90)
-    peer.publish(out, thing)
-    assert _without_stamp(far.wait(heard, 1)) == [thing]
+    far.publish_until(peer, out, thing, lambda: far.wait(heard, 1, 0.2))
+    assert _without_stamp(far.wait(heard, 1))[0] == thing
     back = far.advertise("/things_back", "contract_msgs/Thing")
     heard_back = peer.subscribe("/things_back", "contract_msgs/Thing")
     far.until_route("/things_back", "out", 90)
