@@ -66,7 +66,8 @@ class SideType:
     Attributes:
         name: as the side spells it.
         type_id: md5 sum on ROS 1, RIHS01 hash (``RIHS01_<64 hex>``) on ROS 2 and the hub.
-        definition: full text: the type's own definition, then each nested type's after a line of ``=`` and ``MSG: name``.
+        definition: full text: the type's own definition, then each nested type's after a line of ``=`` and one of
+            ``MSG: name``.
     """
 
     name: str

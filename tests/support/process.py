@@ -16,8 +16,10 @@ from typing import IO, Self
 class Process:
     """A child process in a group of its own whose stderr (and stdout, unless piped) goes to a file."""
 
-    def __init__(self, args: Sequence[str | Path], env: Mapping[str, str] | None = None, *, pipes: bool = False) -> None:
-        self._log: IO[bytes] = tempfile.NamedTemporaryFile(prefix="midspan-test-", suffix=".log")
+    def __init__(
+        self, args: Sequence[str | Path], env: Mapping[str, str] | None = None, *, pipes: bool = False
+    ) -> None:
+        self._log: IO[bytes] = tempfile.NamedTemporaryFile(prefix="midspan-test-", suffix=".log")  # noqa: SIM115
         self.args = [str(a) for a in args]
         self.popen = subprocess.Popen(
             self.args,
@@ -47,10 +49,8 @@ class Process:
         """SIGTERM, wait, SIGKILL what is left; the exit code."""
         if self.popen.poll() is None:
             self.signal(signal.SIGTERM)
-            try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
                 self.popen.wait(seconds)
-            except subprocess.TimeoutExpired:
-                pass
         self.signal(signal.SIGKILL)
         code = self.popen.wait()
         for pipe in (self.popen.stdin, self.popen.stdout):
