@@ -104,7 +104,7 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[Client
         session = zenoh.open(_zenoh_config(config, seconds))
     except zenoh.ZError as err:
         msg = (
-            f"nothing answers for {where}: {err}\n"
+            f"no zenoh router answers for {where}: {_short(err)}\n"
             "Is the daemon running? Start it with 'midspan run', or name another router with --router."
         )
         raise CliError(msg) from None
@@ -125,6 +125,11 @@ def connect(config: Config, seconds: float = CONNECT_SECONDS) -> Iterator[Client
         yield Client(hub, config, where)
     finally:
         hub.close()
+
+
+def _short(err: zenoh.ZError) -> str:
+    """The words of zenoh itself, without the places in its source."""
+    return str(err).partition(" at /")[0].rstrip(".!")
 
 
 def _zenoh_config(config: Config, seconds: float) -> zenoh.Config:
