@@ -5,6 +5,7 @@ Usage: ``python guard.py COMMAND...``. Standard library only.
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -20,7 +21,8 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: child.terminate())
 
     def watch() -> None:
-        sys.stdin.buffer.read()
+        while os.read(0, 4096):
+            pass
         child.terminate()
         try:
             child.wait(PATIENCE)

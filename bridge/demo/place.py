@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import http.client
 import os
 import random
 import shutil
 import socket
 import tempfile
+import xmlrpc.client
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +30,7 @@ _NOT_OURS = ("ROS_HOSTNAME", "ROS_NAMESPACE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_
 _NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
 """Settings of the user's own networks, which the demo does not touch."""
 
+_LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
 
@@ -42,7 +45,7 @@ class Place:
 
     def __init__(self, template: Path | None, more: Mapping[str, Any] | None = None) -> None:
         self._hold: socket.socket | None = None
-        self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-"))
+        self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
             self.master_port, self.router_port = _free_ports(2)
             self._hold, self.domain = _hold_domain()
@@ -65,6 +68,15 @@ class Place:
     def domain_ports(self) -> range:
         """The ports of the ROS domain."""
         return _ports(self.domain)
+
+    def master_answers(self) -> bool:
+        """Whether the ROS master is up, its ``/run_id`` included; a rospy program that comes earlier fails."""
+        try:
+            with xmlrpc.client.ServerProxy(self.master) as proxy:
+                answer: Any = proxy.hasParam("/demo", "/run_id")
+        except (OSError, xmlrpc.client.Error, http.client.HTTPException):
+            return False
+        return bool(answer[0] == 1 and answer[2])
 
     def environment(self) -> dict[str, str]:
         """Environment of the daemon and of the programs that run on Midspan's own Python."""
@@ -120,6 +132,12 @@ class Place:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
+
+
+def _base() -> str | None:
+    """Where the folder is made; a deep one of the user's would make the names of the daemon's sockets too long."""
+    short = Path("/tmp")  # noqa: S108 - mkdtemp makes a folder of its own in it
+    return str(short) if len(tempfile.gettempdir()) > _LONGEST_BASE and short.is_dir() else None
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

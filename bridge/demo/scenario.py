@@ -118,15 +118,24 @@ class Demo:
         master = guarded(system, requirements.roscore(place.config), "-p", str(place.master_port))
         self._launch("roscore", master, ros1)
         self._launch("daemon", guarded(python, "-m", "bridge.cli.main", "run", "--config", place.config_file), own)
-        self._launch(ROS1, [system, "-m", "bridge.demo.robot"], ros1)
         self._launch(ROS2, [python, "-m", "bridge.demo.ros2_program"], own)
         zenoh = [python, "-m", "bridge.demo.zenoh_program", str(place.router_port), str(place.config.hub.domain)]
         self._launch(ZENOH, zenoh, own)
+        self._wait_for_master()
+        self._launch(ROS1, [system, "-m", "bridge.demo.robot"], ros1)
         for program in (ROS1, ROS2, ZENOH):
             self._wait_for(program, "ready", START_SECONDS, f"starting {program}")
 
     def _launch(self, name: str, command: list[Any], env: dict[str, str]) -> None:
         self._children[name] = Child(name, command, env, self._place.folder)
+
+    def _wait_for_master(self) -> None:
+        end = time.monotonic() + START_SECONDS
+        while not self._place.master_answers():
+            if time.monotonic() > end:
+                msg = f"roscore does not answer at {self._place.master}:\n{self._children['roscore'].last_words()}"
+                raise DemoError(msg)
+            self._wait(0.1, "starting roscore")
 
     def _wait_until_joined(self) -> None:
         """Until each listener heard something of the robot; what never crosses is the checks' to tell."""

@@ -37,7 +37,7 @@ def shared_memory(folder: Path, ports: range) -> set[Path]:
         folder: the run's.
         ports: those of its ROS domain; other ports' files are everybody's.
     """
-    return {file for process in _marked(folder) for file in _used_by(process.pid) if _is_own(file.name, ports)}
+    return {file for process in _marked(folder) for file in _used_by(process.pid) if is_own(file.name, ports)}
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
@@ -57,7 +57,8 @@ def _marked(folder: Path) -> Iterator[psutil.Process]:
                 yield process
 
 
-def _is_own(name: str, ports: range) -> bool:
+def is_own(name: str, ports: range) -> bool:
+    """Whether a file's name in shared memory can only be a run's own."""
     port = _PORT.fullmatch(name)
     return bool(_OWN.fullmatch(name)) or (port is not None and int(port[1]) in ports)
 

@@ -1,0 +1,132 @@
+"""What the benchmark's programs at both ends share: they obey JSON lines. Standard library only."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.latency.stamps import Stamped
+
+MATCH_SECONDS = 20.0
+
+
+class End(ABC):
+    """A program that publishes and one that listens, for one middleware.
+
+    A topic in a command is ``{"topic", "type", "file", "offset", "form"}``: a prepared message in ``file``.
+    """
+
+    def __init__(self) -> None:
+        self._prepared: dict[str, Stamped] = {}
+        self._put: dict[str, Callable[[bytes], None]] = {}
+        self._matched: dict[str, Callable[[], bool]] = {}
+        self._ages: dict[str, list[int]] = {}
+
+    @abstractmethod
+    def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
+        """A raw publisher: its publishing function, and whether somebody listens."""
+
+    @abstractmethod
+    def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
+        """A raw subscription."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the network."""
+
+    def run(self) -> None:
+        """Obey until the input ends."""
+        gc.collect()
+        gc.disable()  # pauses of these programs are not what is measured
+        tell("ready")
+        commands = {"advertise": self._advertise, "subscribe": self._subscribe, "send": self._send}
+        commands |= {"matched": self._is_matched, "clear": self._clear, "collect": self._collect}
+        commands |= {"drum": self._drum, "idle": self._idle}
+        try:
+            for line in sys.stdin:
+                command = json.loads(line)
+                commands[command.pop("do")](**command)
+        finally:
+            self.close()
+
+    def _advertise(self, topics: list[dict[str, Any]]) -> None:
+        for topic in topics:
+            name = topic["topic"]
+            self._prepared[name] = _load(topic)
+            self._put[name], self._matched[name] = self.publisher(name, topic["type"])
+        tell("advertised")
+
+    def _subscribe(self, topics: list[dict[str, Any]]) -> None:
+        for topic in topics:
+            name = topic["topic"]
+            age, ages = _load(topic).age, self._ages.setdefault(name, [])
+            self.listen(name, topic["type"], lambda payload, age=age, ages=ages: ages.append(age(payload)))
+        tell("subscribed")
+
+    def _idle(self, topics: list[str], type_: str) -> None:
+        for topic in topics:
+            self.publisher(topic, type_)
+        tell("idle")
+
+    def _is_matched(self, topic: str) -> None:
+        end = time.monotonic() + MATCH_SECONDS
+        while not self._matched[topic]() and time.monotonic() < end:
+            time.sleep(0.02)
+        tell("matched", ok=self._matched[topic]())
+
+    def _send(self, topic: str, count: int, period: float) -> None:
+        put, prepared = self._put[topic], self._prepared[topic]
+        due = time.monotonic()
+        for _ in range(count):
+            fresh = prepared.fresh()
+            due += period
+            time.sleep(max(0.0, due - time.monotonic()))
+            prepared.stamp(fresh)
+            put(fresh)
+        tell("sent")
+
+    def _drum(self, topics: list[str], rate: float) -> None:
+        """Send on all these topics at a rate each, evenly spread in time, until the program ends."""
+
+        def beat() -> None:
+            period, due, number = 1 / rate / len(topics), time.monotonic(), 0
+            while True:
+                topic = topics[number % len(topics)]
+                fresh = self._prepared[topic].fresh()
+                self._prepared[topic].stamp(fresh)
+                self._put[topic](fresh)
+                number += 1
+                due = max(due + period, time.monotonic() - 1.0)
+                time.sleep(max(0.0, due - time.monotonic()))
+
+        threading.Thread(target=beat, name="drum", daemon=True).start()
+        tell("drumming")
+
+    def _clear(self) -> None:
+        for ages in self._ages.values():
+            ages.clear()
+        tell("cleared")
+
+    def _collect(self, topic: str, count: int, seconds: float) -> None:
+        ages = self._ages[topic]
+        end = time.monotonic() + seconds
+        while len(ages) < count and time.monotonic() < end:
+            time.sleep(0.02)
+        tell("collected", ages=list(ages))
+
+
+def tell(event: str, **values: Any) -> None:
+    """Write one line."""
+    sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+    sys.stdout.flush()
+
+
+def _load(topic: dict[str, Any]) -> Stamped:
+    return Stamped(Path(topic["file"]).read_bytes(), topic["offset"], topic["form"])

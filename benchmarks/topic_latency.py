@@ -1,0 +1,151 @@
+"""One-way latency of topics between ROS 1 and ROS 2 through the daemon, beside the floor of the same hops without it.
+
+The floor is rospy to rospy plus zenoh to zenoh plus rclpy to rclpy: all raw bytes, zenoh over a direct link with the
+daemon's own shared-memory setting, rclpy with a loop that does not slow down with subscriptions. It is measured in the
+same run, in turns with the whole way: each round has new processes, and each message is measured hop by hop and both
+ways.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.latency.cases import CASES, Case
+from benchmarks.latency.figures import Figures, figures, floor, over_rounds
+from benchmarks.latency.network import BACK, THERE, Network
+from benchmarks.rows import Row, add_json_option, report
+
+HOPS = ("ros1", "zenoh", "ros2")
+WAYS = {THERE: "ROS 1 to ROS 2", BACK: "ROS 2 to ROS 1"}
+MARKS = {"small": (1.15, 1.5), "tf": (1.5, 1.5), "large": (1.25, 1.5)}
+"""Highest ratios to the floor that the project promises, of p50 and of p99, by kind of message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What else is bridged meanwhile."""
+
+    key: str
+    name: str
+    idle: int = 0
+    busy: int = 0
+
+
+CONDITIONS = (
+    Condition("alone", ""),
+    Condition("idle", ", 200 idle routes", idle=200),
+    Condition("busy", ", 50 routes at 20 Hz", busy=50),
+)
+
+
+class Samples:
+    """Figures of every round, by case and what was measured."""
+
+    def __init__(self) -> None:
+        self._floors: dict[str, list[Figures]] = defaultdict(list)
+        self._hops: dict[tuple[str, str], list[Figures]] = defaultdict(list)
+        self.lost = 0
+        self.sent = 0
+
+    def round(self, network: Network, number: int) -> None:
+        """Measure every case once, floor and ours in turns."""
+        for key, prepared in network.messages.items():
+            taken: dict[str, list[int]] = {}
+            for hop in ("ros1", THERE, "zenoh", BACK, "ros2"):
+                taken[hop] = network.measure(prepared, hop)
+                self._hops[key, hop].append(figures(taken[hop]))
+                self.sent += prepared.case.count
+                self.lost += prepared.case.count - len(taken[hop])
+            self._floors[key].append(floor([taken[hop] for hop in HOPS], number))
+
+    def rows(self, cases: Sequence[Case], suffix: str) -> list[Row]:
+        """A row of each case, way and figure."""
+        rows = []
+        for case in cases:
+            peer = over_rounds(self._floors[case.key])
+            for way, name in WAYS.items():
+                ours = over_rounds(self._hops[case.key, way])
+                for figure in ("p50", "p99"):
+                    row = Row(
+                        f"{case.name}, {name}, {figure}{suffix}", getattr(ours, figure), getattr(peer, figure), "us"
+                    )
+                    rows.append(row)
+        return rows
+
+    def hops_text(self, cases: Sequence[Case]) -> str:
+        """The floor's hops one by one."""
+        lines = ["hops in us (p50 / p99), of which the floor is the sum:"]
+        for case in cases:
+            each = (over_rounds(self._hops[case.key, hop]) for hop in HOPS)
+            lines.append(
+                f"  {case.name:<24}"
+                + "".join(f"  {h} {f.p50:7.0f} /{f.p99:7.0f}" for h, f in zip(HOPS, each, strict=True))
+            )
+        return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; returns 1 where a mark is missed and ``--check`` was given."""
+    args = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING)
+    cases = _chosen(args.cases, quick=args.quick)
+    rounds = args.rounds or (2 if args.quick else 5)
+    rows: list[Row] = []
+    for condition in CONDITIONS:
+        if condition.key in (args.conditions or (["alone"] if args.quick else [c.key for c in CONDITIONS])):
+            rows += _measure(condition, cases, rounds, shared_memory=not args.no_shared_memory)
+    report(rows, args.json)
+    missed = [row for row in rows if row.ratio > _mark(row, cases)]
+    for row in missed:
+        print(f"above its mark of {_mark(row, cases):g}: {row.case}: {row.ratio:.2f}")
+    return 1 if missed and args.check else 0
+
+
+def _measure(condition: Condition, cases: Sequence[Case], rounds: int, *, shared_memory: bool) -> list[Row]:
+    samples = Samples()
+    for number in range(rounds):
+        print(f"{condition.key}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
+        with Network(cases, idle=condition.idle, busy=condition.busy, shared_memory=shared_memory) as network:
+            samples.round(network, number)
+            if condition.busy:
+                print(f"background: {network.background_rate():.0f} messages/s arrive", file=sys.stderr)
+    print(
+        f"{condition.key}: {samples.hops_text(cases)}\n{samples.lost} of {samples.sent} messages lost", file=sys.stderr
+    )
+    return samples.rows(cases, condition.name)
+
+
+def _mark(row: Row, cases: Sequence[Case]) -> float:
+    kind = next(case.kind for case in cases if row.case.startswith(f"{case.name},"))
+    return MARKS[kind][1 if ", p99" in row.case else 0]
+
+
+def _chosen(names: Sequence[str] | None, *, quick: bool) -> list[Case]:
+    known = {case.key: case for case in CASES}
+    if not names:
+        return [known[k] for k in ("string", "tf", "image1")] if quick else list(CASES)
+    return [known[name] for name in names]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", nargs="+", choices=[case.key for case in CASES], help="messages (default all)")
+    parser.add_argument("--conditions", nargs="+", choices=[c.key for c in CONDITIONS], help="default all")
+    parser.add_argument("--rounds", type=int, metavar="N", help="rounds, each with new processes (default 5)")
+    parser.add_argument("--quick", action="store_true", help="three messages, two rounds, nothing else bridged")
+    parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
+    parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
+    add_json_option(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""The demo with real programs: it ends by itself, tells what crossed, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from bridge.config.model import Config
+from bridge.demo import requirements
+from bridge.demo.place import MARK
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.skipif(bool(requirements.missing(Config())), reason="; ".join(requirements.missing(Config()))),
+]
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """For the demo's temporary files; pytest's own would be too deep for it."""
+    with tempfile.TemporaryDirectory(prefix="midspan-t-") as name:
+        yield Path(name)
+
+
+def start(folder: Path, *options: str) -> subprocess.Popen[str]:
+    """The demo as a user starts it, with a folder of its own for temporary files."""
+    env = {k: v for k, v in os.environ.items() if k not in ("STAY", "JSON")}
+    env |= {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "bridge.cli.main", "demo", *options]
+    return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def processes_of(folder: Path) -> list[str]:
+    """Names of the processes that a demo with this temporary folder started and that live."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(MARK, "").startswith(str(folder)) and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(" ".join(process.cmdline()))
+        except psutil.Error:
+            continue
+    return found
+
+
+def run(folder: Path, *options: str) -> tuple[int, str, dict[str, Any]]:
+    """Run the demo to its end: exit code, output, the JSON file's content."""
+    file = folder / "seen.json"
+    demo = start(folder, "--json", str(file), *options)
+    try:
+        output, _ = demo.communicate(timeout=100)
+    finally:
+        demo.kill()
+    document: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
+    return demo.returncode, output, document
+
+
+def leftovers(folder: Path) -> list[str]:
+    return processes_of(folder) + [p.name for p in folder.iterdir() if p.name.startswith("midspan-demo-")]
+
+
+def test_everything_crosses_every_way(folder: Path) -> None:
+    code, output, seen = run(folder, "--seconds", "0")
+    assert code == 0, output
+    ways = {(check["from"], check["to"]) for check in seen["checks"]}
+    names = ("ROS 1", "ROS 2", "zenoh")
+    assert ways >= {(a, b) for a in names for b in names if a != b}
+    assert all(check["ok"] for check in seen["checks"])
+    scan = [route for route in seen["routes"] if route["topic"] == "/scan"]
+    assert {(route["worker"], route["direction"]) for route in scan} == {("ros1", "in"), ("ros2", "out")}
+    assert all(route["messages"] > 0 for route in scan)
+    assert leftovers(folder) == []
+
+
+def test_a_topic_that_does_not_cross_fails_the_demo_and_is_named(folder: Path) -> None:
+    config = folder / "deny.yaml"
+    config.write_text("routing:\n  rules:\n    - topic: /scan\n      deny: true\n")
+    code, output, seen = run(folder, "--seconds", "0", "--config", str(config))
+    assert code == 1, output
+    failed = {(check["name"], check["to"], check["topic"]) for check in seen["checks"] if not check["ok"]}
+    assert failed == {("laser scan", "ROS 2", "/scan"), ("laser scan", "zenoh", "/scan")}
+    assert "2 of " in output
+    assert "/scan: ros1" in output, "the worker's own reason is shown"
+    assert leftovers(folder) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_nothing_is_left_when_the_demo_is_interrupted(folder: Path, number: signal.Signals) -> None:
+    demo = start(folder, "--stay")
+    try:
+        until(lambda: any("robot" in line for line in processes_of(folder)), "the robot runs", 30.0)
+        demo.send_signal(number)
+        demo.communicate(timeout=40)
+        until(lambda: not processes_of(folder), "all its processes end", 20.0)
+    finally:
+        demo.kill()
+    assert demo.returncode != 0
+    if number is not signal.SIGKILL:
+        assert leftovers(folder) == []
+
+
+def test_a_wrong_configuration_is_told_before_anything_starts(folder: Path) -> None:
+    config = folder / "wrong.yaml"
+    config.write_text("routing:\n  ruels: []\n")
+    code, output, _ = run(folder, "--config", str(config))
+    assert code == 1
+    assert "wrong.yaml:2" in output
+    assert "rules" in output
+    assert leftovers(folder) == []
