@@ -120,7 +120,7 @@ ros2_source() {
 }
 
 pip_install() {
-    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps "$@" >&2
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input --no-deps --use-pep517 "$@" >&2
 }
 
 # The virtual environment with everything locked in it; remembers in a file what it was made from.

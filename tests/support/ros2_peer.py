@@ -30,7 +30,7 @@ def to_plain(value: Any) -> Any:
         return {field: to_plain(getattr(value, field)) for field in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
         return value[0] if len(value) == 1 else list(value)
-    if isinstance(value, (list, tuple, array)) or getattr(value, "ndim", 0):
+    if isinstance(value, (list, tuple, array)) or getattr(value, "ndim", None):
         return [to_plain(item) for item in value]
     return value.item() if hasattr(value, "item") else value
 
