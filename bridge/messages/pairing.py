@@ -64,6 +64,22 @@ def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
     return table
 
 
+def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
+    """Whether two types and all that they nest are a pair in which each field has its counterpart."""
+    try:
+        pairs = pair_types(ros1, ros2, rules)
+    except MessageTypeError:
+        return False
+    for pair in pairs.values():
+        mapped = {path2 for _, path2 in pair.fields}
+        named = [field for field in pair.ros1.fields if (pair.ros1.name, field.name) != ("std_msgs/Header", "seq")]
+        if rules.fields(pair.ros1.name, pair.ros2.name) is None and not (
+            len(mapped) == len(named) == len(pair.ros2.fields)
+        ):
+            return False
+    return True
+
+
 def field_at(schema: Schema, path: Path) -> FieldType | None:
     """The type of the field at a path such as ``("header", "stamp")``; None where there is no such field."""
     definition: Definition | None = schema.root

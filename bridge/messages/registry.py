@@ -16,7 +16,7 @@ from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type
-from bridge.messages.pairing import pair_types
+from bridge.messages.pairing import pair_types, says_the_same
 from bridge.messages.rules import Rules
 from bridge.messages.sources import Tree, ros1_sources, ros2_sources
 from bridge.messages.text import full_text, own_text
@@ -247,11 +247,20 @@ class Registry:
                 yield from self._ros1.variants(name)
 
     def _to_ros2(self, ros1: Schema) -> Schema:
-        """The ROS 2 type that stands for a ROS 1 type: one that is installed, else derived."""
-        for name in self._rules.ros2_names(ros1.name):
+        """The ROS 2 type that stands for a ROS 1 type.
+
+        It is one that is installed; else one that others use on the hub and that says the same, field for field; else
+        it is derived.
+        """
+        names = self._rules.ros2_names(ros1.name)
+        for name in names:
             found = self._ros2.installed(name)
             if found is not None:
                 return found
+        for name in names:
+            for told in self._ros2.variants(name):
+                if says_the_same(ros1, told, self._rules):
+                    return told
         return derive_ros2(ros1, self._to_ros2)
 
     def _to_ros1(self, ros2: Schema) -> Schema:

@@ -1,0 +1,323 @@
+"""The registry: where definitions come from, which one counts, and counterparts that are derived."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from tests.messages.samples import DATA, GENPY
+
+SEPARATOR = "=" * 80 + "\n"
+PAIRS = [
+    ("std_msgs/String", "std_msgs/msg/String"),
+    ("std_msgs/Time", "builtin_interfaces/msg/Time"),
+    ("std_msgs/Duration", "builtin_interfaces/msg/Duration"),
+    ("rosgraph_msgs/Log", "rcl_interfaces/msg/Log"),
+    ("tf2_msgs/TFMessage", "tf2_msgs/msg/TFMessage"),
+    ("octomap_msgs/Octomap", "octomap_msgs/msg/Octomap"),
+    ("actionlib_msgs/GoalStatusArray", "actionlib_msgs/msg/GoalStatusArray"),
+]
+
+
+@pytest.mark.parametrize(("ros1", "ros2"), PAIRS)
+def test_pairs_hold_both_ways(registry: Registry, ros1: str, ros2: str):
+    there, back = registry.ros1_to_hub(ros1), registry.hub_to_ros1(ros2)
+    assert (there.source.name, there.target.name) == (ros1, ros2)
+    assert (back.source.name, back.target.name) == (ros2, ros1)
+    assert there.source == back.target
+    assert there.target == back.source
+
+
+def test_tf_messages_of_old_go_to_tf2():
+    registry = Registry()
+    tf2 = registry.ros1("tf2_msgs/TFMessage").definition
+    conversion = registry.ros1_to_hub("tf/tfMessage", definition=tf2)
+    assert conversion.target.name == "tf2_msgs/msg/TFMessage"
+    assert registry.hub_to_ros1("tf2_msgs/msg/TFMessage").target.name == "tf2_msgs/TFMessage"
+
+
+def test_nothing_is_read_before_it_is_asked_for(monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object) -> str:
+        pytest.fail("a file was read")
+
+    monkeypatch.setattr("bridge.messages.sources.read_text", refuse)
+    Registry(folders=[DATA])
+
+
+def test_converters_are_made_once(registry: Registry):
+    assert registry.ros1_to_hub("std_msgs/String") is registry.ros1_to_hub("std_msgs/String")
+    one = registry.ros1_to_hub("std_msgs/String", registry.ros1("std_msgs/String").type_id)
+    assert one is registry.ros1_to_hub("std_msgs/String", "*")
+
+
+def test_an_unknown_type_says_its_cure(registry: Registry):
+    with pytest.raises(MessageTypeError, match="no definition of the ROS 1 type nobody_msgs/Knows") as caught:
+        registry.ros1_to_hub("nobody_msgs/Knows")
+    assert "types.folders" in caught.value.cure
+    for name in ("nobody", "../../etc/passwd", "a/b/c/d", ""):
+        with pytest.raises(MessageTypeError):
+            registry.ros1(name)
+        with pytest.raises(MessageTypeError):
+            registry.ros2(name)
+
+
+def test_a_header_definition_outranks_the_installed_one():
+    registry = Registry()
+    installed = registry.ros1("std_msgs/ColorRGBA")
+    registry.learn_ros1("std_msgs/ColorRGBA", "float32 r\nfloat32 g\nfloat32 b\n")
+    learned = registry.ros1("std_msgs/ColorRGBA")
+    assert learned.type_id != installed.type_id
+    assert registry.hub_to_ros1("std_msgs/msg/ColorRGBA").target == learned
+    assert registry.ros1_to_hub("std_msgs/ColorRGBA", installed.type_id).source == installed
+
+
+def test_two_definitions_of_one_name_stand_beside_each_other():
+    registry = Registry()
+    old, new = "int32 a\n", "int32 a\nstring b\n"
+    ids = []
+    for text in (old, new):
+        bare = Registry()
+        bare.learn_ros1("my_msgs/Thing", text)
+        ids.append(bare.ros1("my_msgs/Thing").type_id)
+    first = registry.ros1_to_hub("my_msgs/Thing", ids[0], old)
+    second = registry.ros1_to_hub("my_msgs/Thing", ids[1], new)
+    assert first.convert is not None
+    assert second.convert is not None
+    assert first.target.name == second.target.name
+    assert first.target.type_id != second.target.type_id
+    assert first.convert(b"\1\0\0\0") == b"\0\1\0\0\1\0\0\0"
+    assert second.convert(b"\1\0\0\0\1\0\0\0x") == b"\0\1\0\0\1\0\0\0\2\0\0\0x\0"
+    # Each hash leads back to its own definition, whichever was learned last.
+    for conversion, md5 in zip((first, second), ids, strict=True):
+        assert registry.hub_to_ros1("my_msgs/msg/Thing", conversion.target.type_id).target.type_id == md5
+    with pytest.raises(MessageTypeError, match=r"0+ there but .* here"):
+        registry.ros1_to_hub("my_msgs/Thing", "0" * 32)
+
+
+def test_a_definition_that_belies_its_md5_is_refused():
+    with pytest.raises(MessageTypeError, match=r"but f{32} was announced"):
+        Registry().ros1_to_hub("my_msgs/Thing", "f" * 32, "int32 a\n")
+
+
+def test_a_hash_that_differs_is_told(registry: Registry):
+    with pytest.raises(MessageTypeError, match=r"has the hash RIHS01_0+ there but RIHS01_\w+ here") as caught:
+        registry.hub_to_ros1("std_msgs/msg/String", "RIHS01_" + "0" * 64)
+    assert "same version of std_msgs" in caught.value.cure
+
+
+def test_a_definition_from_the_hub_serves_its_hash():
+    registry = Registry()
+    known = registry.ros2("std_msgs/msg/Int32")
+    other = Registry()
+    other.learn_ros2("my_msgs/msg/Thing", "int32 data\nstd_msgs/Header header\n" + header_section())
+    thing = other.ros2("my_msgs/msg/Thing")
+    registry.learn_ros2("my_msgs/msg/Thing", thing.definition)
+    conversion = registry.hub_to_ros1("my_msgs/msg/Thing", thing.type_id)
+    assert conversion.target.name == "my_msgs/Thing"
+    assert "std_msgs/Header header" in conversion.target.definition
+    assert conversion.convert is not None
+    message = from_json(registry, "my_msgs/msg/Thing", {"data": 5, "header": {"frame_id": "map"}})
+    assert conversion.convert(message) == b"\5\0\0\0" + bytes(12) + b"\3\0\0\0map"
+    assert registry.ros2("std_msgs/msg/Int32") == known
+
+
+def test_ros1_goes_to_the_definition_that_others_use():
+    """A bound does not show in ROS 1: the hub's own definition is used, so that its subscribers hear the topic."""
+    registry = Registry()
+    registry.learn_ros2("my_msgs/msg/Thing", "string<=5 text\n")
+    registry.learn_ros1("my_msgs/Thing", "string text\n")
+    assert registry.ros1_to_hub("my_msgs/Thing").target == registry.ros2("my_msgs/msg/Thing")
+    registry.learn_ros1("my_msgs/Thing", "string text\nint32 more\n")
+    assert registry.ros1_to_hub("my_msgs/Thing").target != registry.ros2("my_msgs/msg/Thing")
+
+
+def test_types_of_ros1_alone_are_derived():
+    registry = Registry()
+    registry.learn_ros1(
+        "old_pkg/my_thing",
+        "Header header\nint32 Value\ntime[] when\nold_pkg/inner__x inner\nbyte BAD=-1\nstring Name=a b\n"
+        + header_section(seq=True)
+        + SEPARATOR
+        + "MSG: old_pkg/inner__x\nfloat32 A_\nduration d\n",
+    )
+    conversion = registry.ros1_to_hub("old_pkg/my_thing")
+    target = conversion.target
+    assert target.name == "old_pkg/msg/MyThing"
+    own = target.definition.split("=" * 80)[0].splitlines()
+    assert own == [
+        "byte BAD=255",
+        'string NAME="a b"',
+        "std_msgs/Header header",
+        "int32 value",
+        "builtin_interfaces/Time[] when",
+        "old_pkg/InnerX inner",
+    ]
+    other = Registry()
+    other.learn_ros2(target.name, target.definition)
+    assert other.ros2(target.name).type_id == target.type_id
+    back = registry.hub_to_ros1(target.name, target.type_id)
+    assert back.target == conversion.source
+    values = {
+        "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "map"},
+        "value": 3,
+        "when": [{"sec": 4, "nanosec": 5}],
+        "inner": {"a": 0.5, "d": {"sec": 6, "nanosec": 7}},
+    }
+    assert back.convert is not None
+    assert conversion.convert is not None
+    assert to_json(
+        registry, target.name, conversion.convert(back.convert(from_json(registry, target.name, values)))
+    ) == (values)
+
+
+@pytest.mark.skipif(not (GENPY / "move_base_msgs").is_dir(), reason="move_base_msgs is not installed")
+def test_move_base_is_derived_whole(registry: Registry):
+    conversion = registry.ros1_to_hub("move_base_msgs/MoveBaseActionGoal")
+    assert conversion.target.name == "move_base_msgs/msg/MoveBaseActionGoal"
+    files = registry.ros2_package_sources("move_base_msgs")
+    assert "geometry_msgs/PoseStamped target_pose" in files["msg/MoveBaseGoal.msg"]
+    assert set(files) >= {f"msg/MoveBase{part}.msg" for part in ("Goal", "ActionGoal", "Result", "Feedback", "Action")}
+    for path, text in files.items():
+        name = f"move_base_msgs/msg/{Path(path).stem}"
+        assert registry.ros2(name).definition.startswith(text.rstrip("\n")), name
+
+
+def test_package_sources_of_ros2_packages(registry: Registry):
+    files = registry.ros2_package_sources("nav2_msgs")
+    assert "action/NavigateToPose.action" in files
+    assert "msg/Costmap.msg" in files
+    assert "srv/LoadMap.srv" in files
+    assert registry.ros2_package_sources("octomap_msgs").keys() == {"msg/Octomap.msg"}
+    assert registry.ros2_package_sources("nobody_msgs") == {}
+
+
+def test_parts_of_actions_are_known(registry: Registry):
+    feedback = registry.ros2("nav2_msgs/action/NavigateToPose_FeedbackMessage")
+    assert "unique_identifier_msgs/UUID goal_id" in feedback.definition
+    with pytest.raises(MessageTypeError, match="part of a service or action"):
+        registry.hub_to_ros1(feedback.name)
+
+
+def test_wstring_cannot_be_said_in_ros1():
+    registry = Registry()
+    registry.learn_ros2("my_msgs/msg/Wide", "wstring text\n")
+    with pytest.raises(MessageTypeError, match="field text is a wstring"):
+        registry.hub_to_ros1("my_msgs/msg/Wide")
+
+
+NO_PAIRS = [
+    ("int32 a\nint32 b\n", "int32 a\nint32 c\n", "only the first has b, only the second c"),
+    ("int32 a\n", "float32 a\n", r"field a \(int32\) and field a \(float32\): the two types differ"),
+    ("int32[3] a\n", "int32[4] a\n", "the arrays differ in length"),
+    ("int32[] a\n", "int32 a\n", "one is a sequence, the other a single value"),
+    ("geometry_msgs/Point a\n", "geometry_msgs/Point32 a\n", "do not stand for each other"),
+    ("time a\n", "builtin_interfaces/Duration a\n", "time stands for builtin_interfaces/msg/Time alone"),
+    ("string a\n", "wstring a\n", "ROS 1 has no wstring"),
+]
+
+
+@pytest.mark.parametrize(("ros1", "ros2", "reason"), NO_PAIRS)
+def test_types_that_are_no_pair_say_why(tmp_path: Path, ros1: str, ros2: str, reason: str):
+    registry = with_ros2(tmp_path, ros2)
+    nested = SEPARATOR + "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n" if "geometry" in ros1 else ""
+    with pytest.raises(MessageTypeError, match=reason) as caught:
+        registry.ros1_to_hub("my_msgs/Thing", definition=ros1 + nested)
+    assert "mapping rule" in caught.value.cure
+
+
+ONE_SIDED = [
+    ("int32 a\nint32 b\n", "int32 a\n", b"\1\0\0\0\2\0\0\0", {"a": 1}),
+    ("int32 a\n", "string[2] s ['x', 'yz']\nint32 a\n", b"\1\0\0\0", {"s": ["x", "yz"], "a": 1}),
+    ("int32 a\n", "int32 a\nfloat64[3] f\nbool b true\n", b"\1\0\0\0", {"a": 1, "f": [0.0, 0.0, 0.0], "b": True}),
+    ("int32 a\n", "geometry_msgs/Pose[2] p\nint32 a\n", b"\1\0\0\0", {"p": [{"w": 1.0}] * 2, "a": 1}),
+    ("uint8 a\n", "byte a\nwstring w 'é'\nint16[] n [3, 4]\n", b"\1", {"a": 1, "w": "é", "n": [3, 4]}),
+    ("string[] a\nuint8 b\nint32 c\n", "uint8 b\n", b"\1\0\0\0\2\0\0\0xy\7\1\0\0\0", {"b": 7}),
+    ("geometry_msgs/Point[2] a\nuint8 b\n", "uint8 b\n", bytes(48) + b"\7", {"b": 7}),
+]
+
+
+@pytest.mark.parametrize(("ros1", "ros2", "message", "expected"), ONE_SIDED)
+def test_fields_on_one_side_get_defaults(
+    tmp_path: Path, ros1: str, ros2: str, message: bytes, expected: dict[str, object]
+):
+    registry = with_ros2(tmp_path, ros2)
+    nested = SEPARATOR + "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n" if "geometry" in ros1 else ""
+    convert = registry.ros1_to_hub("my_msgs/Thing", definition=ros1 + nested).convert
+    assert convert is not None
+    found = to_json(registry, "my_msgs/msg/Thing", convert(message))
+    if "p" in found:
+        found["p"] = [{"w": pose["orientation"]["w"]} for pose in found["p"]]
+    assert found == expected
+    back = registry.hub_to_ros1("my_msgs/msg/Thing").convert
+    assert back is not None
+    assert len(back(convert(message))) > 0
+
+
+def test_a_folder_serves_both_worlds(tmp_path: Path):
+    """Whichever world's spelling a file has, the other world's type comes of it."""
+    folder = tmp_path / "defs" / "my_msgs"
+    folder.mkdir(parents=True)
+    (folder / "Old.msg").write_text("Header header\ntime Stamp\n")
+    (folder / "New.msg").write_text("builtin_interfaces/Time stamp\nstring<=5 text\nint32 a 5\n")
+    registry = Registry(folders=[tmp_path / "defs"])
+    assert "builtin_interfaces/Time stamp" in registry.ros2("my_msgs/msg/Old").definition
+    assert registry.ros1("my_msgs/Old").definition.startswith("Header header\ntime Stamp\n")
+    assert registry.ros1("my_msgs/New").definition == "time stamp\nstring text\nint32 a\n"
+    for name in ("Old", "New"):
+        assert registry.ros1_to_hub(f"my_msgs/{name}").target == registry.ros2(f"my_msgs/msg/{name}")
+
+
+@pytest.mark.parametrize("layout", ["pkg/msg", "pkg", ""])
+def test_layouts_of_folders(tmp_path: Path, layout: str):
+    root = tmp_path / "pkg" if not layout else tmp_path
+    folder = root / layout
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "Thing.msg").write_text("int32 a\n")
+    registry = Registry(folders=[root])
+    assert registry.ros1_to_hub("pkg/Thing").target.name == "pkg/msg/Thing"
+
+
+def test_prefixes_of_built_packages(tmp_path: Path):
+    folder = tmp_path / "share" / "built_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Thing.idl").write_text("module built_msgs { module msg { struct Thing { int32 a; }; }; };")
+    assert Registry(prefixes=[tmp_path]).ros2("built_msgs/msg/Thing").type_id.startswith("RIHS01_")
+
+
+def test_many_threads_may_ask_at_once():
+    registry = Registry()
+    names = ["std_msgs/String", "nav_msgs/Odometry", "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"] * 4
+    found: list[str] = []
+
+    def ask(name: str) -> None:
+        convert = registry.ros1_to_hub(name).convert
+        assert convert is not None
+        found.append(name)
+
+    threads = [threading.Thread(target=ask, args=(name,)) for name in names]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(found) == sorted(names)
+
+
+def with_ros2(tmp_path: Path, text: str) -> Registry:
+    """A registry in whose folder ROS 2's my_msgs/msg/Thing is; no text of it can be taken for ROS 1's."""
+    folder = tmp_path / "share" / "my_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Thing.msg").write_text(text)
+    return Registry(prefixes=[tmp_path])
+
+
+def header_section(*, seq: bool = False) -> str:
+    stamp = "uint32 seq\ntime stamp" if seq else "builtin_interfaces/Time stamp"
+    text = f"{SEPARATOR}MSG: std_msgs/Header\n{stamp}\nstring frame_id\n"
+    if not seq:
+        text += f"{SEPARATOR}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    return text
