@@ -43,7 +43,7 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
 
 def daemon_lock(config: Config) -> Path:
     """The lock of the daemon of this name."""
-    return _in_state(config, f"{config.name}.lock")
+    return _in_state(config, f"{config.name}.daemon.lock")
 
 
 def worker_lock(config: Config, worker: str) -> Path:
@@ -62,7 +62,16 @@ def control_socket(config: Config, worker: str) -> Path:
     Raises:
         RuntimeError: the path is longer than a socket's can be.
     """
-    path = _in_state(config, f"{config.name}.{worker}.sock")
+    return _socket_in_state(config, f"{config.name}.{worker}.sock")
+
+
+def daemon_socket(config: Config) -> Path:
+    """The socket on which the daemon tells of itself; raises like `control_socket`."""
+    return _socket_in_state(config, f"{config.name}.daemon.sock")
+
+
+def _socket_in_state(config: Config, name: str) -> Path:
+    path = _in_state(config, name)
     if len(os.fsencode(path)) > _MAX_SOCKET_PATH:
         msg = f"{path} is too long for a socket's name; set 'state' in the configuration to a shorter folder"
         raise RuntimeError(msg)

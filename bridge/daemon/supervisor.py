@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from bridge.config.load import load
 from bridge.config.model import Config
@@ -16,6 +17,7 @@ from bridge.daemon.limits import raise_open_files
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop
 from bridge.daemon.notify import Notifier
+from bridge.daemon.query import QueryServer
 from bridge.daemon.slot import Phase, Slot, Timing
 from bridge.daemon.workers import worker_kinds
 
@@ -63,7 +65,7 @@ class Supervisor:
         self._ready_at = 0.0
         self._refused = ""
         self._status_sent = 0.0
-        self._stepped = time.monotonic()
+        self._begun = self._stepped = time.monotonic()
 
     @property
     def config(self) -> Config:
@@ -88,10 +90,12 @@ class Supervisor:
         """Run until asked to stop.
 
         Raises:
-            RuntimeError: another daemon of this name runs in this state folder.
+            RuntimeError: another daemon of this name runs in this state folder, or the folder cannot be used.
         """
+        socket = state.daemon_socket(self._config)
         lock = self._only_one()
-        self._stepped = time.monotonic()
+        query = QueryServer(self._loop, socket, self.document)
+        self._begun = self._stepped = time.monotonic()
         try:
             logger.info("%s: limit of open files %d", self._config.name, raise_open_files())
             self._begin(self._config)
@@ -102,6 +106,7 @@ class Supervisor:
                     self._reload()
         finally:
             self._end()
+            query.close()
             lock.close()
             self._notify.close()
             self._loop.close()
@@ -165,6 +170,27 @@ class Supervisor:
         if self._refused:
             parts.append(f"reload refused, the running configuration is kept: {self._refused}")
         return " | ".join(parts) or "no worker is switched on"
+
+    def document(self) -> dict[str, Any]:
+        """What `bridge.daemon.query.ask_daemon` returns."""
+        return {
+            "daemon": self._config.name,
+            "pid": os.getpid(),
+            "uptime": round(time.monotonic() - self._begun, 1),
+            "config": None if self._file is None else str(self._file.absolute()),
+            "refused": self._refused,
+            "status": self.status(),
+            "workers": [
+                {
+                    "worker": slot.name,
+                    "phase": slot.phase.value,
+                    "text": slot.text,
+                    "pid": slot.pid,
+                    "restarts": slot.restarts,
+                }
+                for slot in self.slots
+            ],
+        }
 
     # -- reload --------------------------------------------------------------------------------------------------------
 

@@ -22,9 +22,9 @@ def test_workers_that_use_what_changed_are_told_and_no_other(daemon: Daemon) -> 
     process = daemon.start()
     daemon.wait_ready(process)
     reload(daemon, process, "routing: {default: deny}\n")
-    for worker in ("ros1", "ros2"):
-        until(lambda worker=worker: daemon.events(worker, "reload"), f"{worker} told")
-        assert daemon.events(worker, "reload") == [["reload", "deny"]]
+    sides = ("ros1", "ros2")
+    until(lambda: all(daemon.events(worker, "reload") for worker in sides), "both sides are told")
+    assert [daemon.events(worker, "reload") for worker in sides] == [[["reload", "deny"]]] * 2
     until(lambda: process.output().count("ready: ") == 2, "ready again")
     assert daemon.events("router", "reload") == []
     assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]

@@ -1,0 +1,71 @@
+"""What the daemon says of itself and its workers, on a Unix socket in its state folder: also of those that do not run.
+
+A running worker answers on the hub; one that cannot start has nobody to answer for it but the daemon.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.daemon import state
+from bridge.daemon.loop import Loop
+
+_MAX_ANSWER = 1 << 20
+
+
+class QueryServer:
+    """Answers each connection with one JSON document, and closes it."""
+
+    def __init__(self, loop: Loop, path: Path, document: Callable[[], dict[str, Any]]) -> None:
+        self._loop = loop
+        self._path = path
+        self._document = document
+        path.unlink(missing_ok=True)  # a dead predecessor's: the daemon's lock is ours
+        self._server = socket.socket(socket.AF_UNIX)
+        self._server.bind(str(path))
+        path.chmod(0o600)
+        self._server.listen(8)
+        self._server.setblocking(False)
+        loop.on_readable(self._server.fileno(), self._answer)
+
+    def _answer(self) -> None:
+        with contextlib.suppress(OSError):
+            client, _ = self._server.accept()
+            with client:
+                client.setblocking(False)  # an answer is far smaller than a socket's buffer
+                client.sendall(json.dumps(self._document()).encode())
+
+    def close(self) -> None:
+        """Stop listening and remove the socket."""
+        self._loop.forget(self._server.fileno())
+        self._server.close()
+        self._path.unlink(missing_ok=True)
+
+
+def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
+    """What the daemon of this configuration says of itself, None where none runs (or its state folder is not ours).
+
+    Returns:
+        ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was, or
+        ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase``, ``text``, ``pid``, ``restarts``.
+    """
+    config = config.model_copy(update={"state": state.state_folder(config).absolute()})
+    answer = b""
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.settimeout(seconds)
+        try:
+            sock.connect(str(state.daemon_socket(config)))
+            while data := sock.recv(1 << 16):
+                answer += data
+                if len(answer) > _MAX_ANSWER:
+                    return None
+            said = json.loads(answer)
+        except (OSError, ValueError, RuntimeError):
+            return None
+    return said if isinstance(said, dict) else None

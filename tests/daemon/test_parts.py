@@ -1,0 +1,222 @@
+"""The daemon's small parts: protocol, pauses, log lines, locks, limits, the workers' table."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.config import Config
+from bridge.daemon import log
+from bridge.daemon.backoff import Backoff
+from bridge.daemon.lock import Lock
+from bridge.daemon.loop import Loop
+from bridge.daemon.protocol import (
+    Beat,
+    Failed,
+    Hello,
+    Lines,
+    Log,
+    NewConfig,
+    ProtocolError,
+    Reloaded,
+    Report,
+    Restart,
+    Stop,
+    decode_command,
+    decode_report,
+    encode_command,
+    encode_report,
+)
+from bridge.daemon.state import state_folder
+from bridge.daemon.worker import Health
+from bridge.daemon.workers import VARIABLE, worker_kinds
+
+REPORTS = [
+    Beat(3, Health("standby", "2 routes\n\u00fc")),
+    Hello(7, "service"),
+    Hello(7, "daemon"),
+    Reloaded(),
+    Restart("why"),
+    Failed("why"),
+    Log(30, "text"),
+]
+
+
+@pytest.mark.parametrize("report", REPORTS, ids=lambda report: type(report).__name__)
+def test_reports_survive_the_wire(report: Report) -> None:
+    line = encode_report(report)
+    assert line.count(b"\n") == 1
+    assert line.endswith(b"\n")
+    assert decode_report(line) == report
+
+
+def test_commands_survive_the_wire() -> None:
+    config = Config(name="a", state=Path("/s"))
+    assert decode_command(encode_command(NewConfig(config))) == NewConfig(config)
+    assert isinstance(decode_command(encode_command(Stop())), Stop)
+
+
+BAD = [
+    b"",
+    b"x",
+    b"[]",
+    b"null",
+    b"{}",
+    b'{"beat": "1", "state": "running", "text": ""}',
+    b'{"beat": 1, "state": "odd", "text": ""}',
+    b'{"hello": {"pid": 1, "owner": "me"}}',
+    b'{"log": [1]}',
+    b"\xff",
+    b"[" * 100_000,
+]
+
+
+@pytest.mark.parametrize("line", BAD, ids=range(len(BAD)))
+def test_anything_else_is_a_protocol_error(line: bytes) -> None:
+    with pytest.raises(ProtocolError):
+        decode_report(line)
+    with pytest.raises(ProtocolError):
+        decode_command(line)
+
+
+@given(st.lists(st.binary(max_size=8)), st.integers(1, 5))
+def test_lines_are_the_same_however_the_stream_is_cut(parts: list[bytes], limit: int) -> None:
+    stream = b"".join(parts) + b"\n"
+    whole = Lines(limit).feed(stream)
+    lines = Lines(limit)
+    cut = [line for part in [*parts, b"\n"] for line in lines.feed(part)]
+    assert cut == whole
+    assert whole == [line[:limit] for line in stream.split(b"\n")[:-1]]
+    assert lines.end() == []
+
+
+def test_pauses_double_to_a_limit_and_begin_again_after_a_good_life() -> None:
+    backoff = Backoff()
+    assert [backoff.pause(1.0) for _ in range(8)] == [0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
+    assert backoff.pause(29.0) == 10.0
+    assert backoff.pause(31.0) == 0.2
+    backoff.pause(0)
+    backoff.reset()
+    assert backoff.pause(0) == 0.2
+
+
+@pytest.mark.parametrize(
+    ("line", "level", "text"),
+    [
+        ("<3>bad", logging.ERROR, "bad"),
+        ("<4>odd", logging.WARNING, "odd"),
+        ("<6>told", logging.INFO, "told"),
+        ("<7>detail", logging.DEBUG, "detail"),
+        ("a library's", logging.WARNING, "a library's"),
+        ("<9>what", logging.WARNING, "<9>what"),
+    ],
+)
+def test_priorities(line: str, level: int, text: str) -> None:
+    assert log.split_priority(line) == (level, text)
+    if line.startswith(f"<{log.priority(level)}>"):
+        assert f"<{log.priority(level)}>{text}" == line
+
+
+def test_every_line_of_a_record_carries_priority_and_name() -> None:
+    record = logging.LogRecord("x", logging.ERROR, "", 0, "one\ntwo", None, None)
+    record.worker = "ros1"
+    assert log.LineFormatter(log.Style.JOURNAL, "midspan").format(record) == "<3>ros1: one\n<3>ros1: two"
+
+
+def test_relayed_lines_wait_bounded_until_somebody_takes_them() -> None:
+    handler = log.RelayHandler()
+    for number in range(log.KEPT_LINES + 5):
+        handler.handle(logging.LogRecord("x", logging.INFO, "", 0, f"line {number}", None, None))
+    taken: list[str] = []
+
+    def take(level: int, text: str) -> bool:
+        assert level == logging.INFO
+        taken.append(text)
+        return len(taken) < 3
+
+    handler.relay_to(take)
+    handler.flush()
+    assert taken == ["line 5", "line 6", "line 7"]
+
+
+def test_lock_lives_with_whoever_has_its_descriptor(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    first, second = Lock(path), Lock(path)
+    assert first.try_lock()
+    first.write(os.getpid(), "service")
+    assert not second.try_lock()
+    holder = second.holder()
+    assert holder is not None
+    assert (holder.pid, holder.owner, holder.is_here) == (os.getpid(), "service", True)
+    handed_on = os.dup(first.fileno())
+    first.close()
+    assert not second.try_lock()
+    os.close(handed_on)
+    assert second.try_lock()
+    second.close()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "nonsense", '{"pid": "x", "machine": 1, "owner": 2}', "[1]"])
+def test_holder_of_a_file_with_something_else_in_it(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "lock"
+    path.write_text(text)
+    lock = Lock(path)
+    assert lock.holder() is None
+    lock.close()
+
+
+def test_loop_calls_nothing_that_an_earlier_callback_ended() -> None:
+    loop = Loop()
+    pipes = [os.pipe() for _ in range(2)]
+    called: list[int] = []
+
+    def ready(own: int) -> None:
+        called.append(own)
+        for reader, _ in pipes:
+            loop.forget(reader)
+
+    for reader, writer in pipes:
+        loop.on_readable(reader, lambda reader=reader: ready(reader))  # type: ignore[misc]
+        os.write(writer, b"x")
+    loop.step(1)
+    loop.step(0)
+    assert len(called) == 1
+    loop.wake()
+    loop.step(10)
+    loop.close()
+    for pipe in pipes:
+        for file in pipe:
+            os.close(file)
+
+
+@pytest.mark.parametrize(
+    ("environ", "folder"),
+    [
+        ({"STATE_DIRECTORY": "/var/lib/midspan:/b", "HOME": "/h"}, "/var/lib/midspan"),
+        ({"XDG_STATE_HOME": "/x", "HOME": "/h"}, "/x/midspan"),
+        ({"HOME": "/h"}, "/h/.local/state/midspan"),
+    ],
+)
+def test_state_folder(environ: dict[str, str], folder: str) -> None:
+    assert state_folder(Config(), environ) == Path(folder)
+    assert state_folder(Config(state=Path("/own")), environ) == Path("/own")
+
+
+def test_table_of_workers() -> None:
+    kinds = worker_kinds({VARIABLE: "ros1=a.b:C"})
+    assert (kinds["ros1"].factory, kinds["ros1"].arguments, kinds["ros1"].environment) == ("a.b:C", (), "")
+    assert kinds["ros2"].factory == "bridge.adapters.worker:BridgeWorker"
+    with pytest.raises(RuntimeError, match="is not NAME=module:Class with a NAME of router, ros1, ros2"):
+        worker_kinds({VARIABLE: "ros3=a:B"})
+
+
+def test_workers_environment_is_not_the_daemons() -> None:
+    environ = {"NOTIFY_SOCKET": "/n", "WATCHDOG_USEC": "1", "JOURNAL_STREAM": "1:2", "PATH": "/bin"}
+    env = worker_kinds({})["router"].child_environment(Config(), environ)
+    assert env["PATH"] == "/bin"
+    assert not {"NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM"} & set(env)

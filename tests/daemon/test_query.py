@@ -1,0 +1,55 @@
+"""What the daemon tells of itself on its socket."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from bridge.config import Config
+from bridge.daemon.query import ask_daemon
+from tests.daemon.daemon import Daemon
+from tests.support.wait import until
+
+
+def test_daemon_tells_also_of_workers_that_do_not_run(daemon: Daemon) -> None:
+    config = Config(name="test", state=daemon.folder / "state")
+    assert ask_daemon(config) is None
+    daemon.order("ros1", "never")
+    daemon.configure("ros2: {enabled: false}\n")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    said = ask_daemon(config)
+    assert said is not None
+    assert (said["daemon"], said["pid"], said["refused"]) == ("test", process.pid, "")
+    assert said["config"] == str(daemon.file)
+    workers = {worker["worker"]: worker for worker in said["workers"]}
+    assert workers["router"]["phase"] == "running"
+    assert workers["router"]["pid"] == daemon.wait_started("router")
+    assert (workers["ros1"]["phase"], workers["ros1"]["text"]) == ("cannot work", "there is no such robot")
+    assert workers["ros2"]["phase"] == "off"
+    assert "ros1 cannot work: there is no such robot" in said["status"]
+
+
+def test_refused_reload_and_restarts_are_told(daemon: Daemon) -> None:
+    config = Config(name="test", state=daemon.folder / "state")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    os.kill(daemon.wait_started("ros1"), signal.SIGKILL)
+    daemon.wait_started("ros1", 2)
+    daemon.configure("hubb: 1\n")
+    process.signal(signal.SIGHUP)
+    until(lambda: (ask_daemon(config) or {}).get("refused"), "refused")
+    said = ask_daemon(config)
+    assert said is not None
+    assert "unknown key 'hubb'" in said["refused"]
+    assert [w["restarts"] for w in said["workers"] if w["worker"] == "ros1"] == [1]
+    process.signal(signal.SIGTERM)
+    assert process.popen.wait(10) == 0
+    assert not (daemon.folder / "state" / "test.daemon.sock").exists()
+
+
+def test_answer_of_something_else_is_none(tmp_path: Path) -> None:
+    (tmp_path / "test.daemon.sock").write_text("no socket")
+    assert ask_daemon(Config(name="test", state=tmp_path)) is None
+    assert ask_daemon(Config(name="x" * 60, state=tmp_path / ("y" * 90))) is None
