@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from bridge.interfaces.compiler import Compiler, Dependency, Job, compile_package
+from bridge.interfaces.compiler import TIMEOUT, Compiler, Dependency, Job, compile_package
 from bridge.interfaces.errors import BuildError
 from bridge.interfaces.generate import Request
 from bridge.interfaces.plan import Planner, Step
@@ -135,9 +135,19 @@ def _generate(step: Step, job: Job, prefix: Path, ros2: Ros2) -> None:
     # the order of the #include lines hangs on Python's hash seed; fixed, so that equal input gives equal output
     environment = os.environ | {"PYTHONHASHSEED": "0"}
     command = [sys.executable, "-P", str(Path(__file__).with_name("generate.py")), str(file)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, env=environment, cwd=job.work
-    )
+    try:
+        done = subprocess.run(
+            command,
+            cwd=job.work,
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            env=environment,
+            timeout=TIMEOUT,
+        )
+    except subprocess.TimeoutExpired:
+        raise BuildError(f"package {step.package}: ROS 2's generators took more than {TIMEOUT} s") from None
     if done.returncode != 0:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
         raise BuildError(f"package {step.package}: ROS 2's generators failed: {last[0]}")

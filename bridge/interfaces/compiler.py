@@ -23,6 +23,8 @@ from bridge.interfaces.ros2 import GENERATORS, Ros2
 _CURE_COMPILER = "Install one: apt install g++"
 _FLAGS = ("-O1", "-fPIC", "-w")
 _STANDARD = {".c": "-std=gnu11", ".cpp": "-std=gnu++17"}
+TIMEOUT = 900
+"""Seconds that one call of a compiler, or of the generators, may take; the longest measured took 10."""
 _RUNTIME = (
     "rosidl_typesupport_fastrtps_c",
     "rosidl_typesupport_fastrtps_cpp",
@@ -239,7 +241,18 @@ def _libraries_of(dependency: Dependency) -> list[str]:
 
 
 def _run(command: list[str], folder: Path) -> None:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    try:
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            timeout=TIMEOUT,
+        )
+    except subprocess.TimeoutExpired:
+        raise BuildError(f"{Path(command[0]).name} took more than {TIMEOUT} s in {folder.name}") from None
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines()
         first = next((line for line in lines if "error" in line), lines[-1] if lines else "no message")

@@ -23,7 +23,12 @@ ROS1_TYPES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
 _CONSTANT = re.compile(r"[A-Z]([A-Z0-9_]?[A-Z0-9]+)*")
+_VALUE = re.compile(r"[ -\[\]-~]*")  # printable ASCII but the backslash: rosidl garbles the rest on the way to C
 _FIELD_TYPE = re.compile(r"(?P<base>[A-Za-z0-9_/]+)(?P<bound><=[1-9]\d*)?(?P<array>\[(?:(?:<=)?[1-9]\d*)?\])?")
+
+
+MAX_TEXT = 1_000_000
+"""Characters that a package's definitions may have: they may come from the network, and are compiled."""
 
 
 class Form(Enum):
@@ -103,6 +108,8 @@ def read_package(package: str, files: Mapping[str, str]) -> tuple[Definition, ..
         )
     if not files:
         raise BuildError(f"package {package} has no definitions", cure="Give at least one msg/Name.msg")
+    if sum(map(len, files.values())) > MAX_TEXT:
+        raise BuildError(f"package {package} has more than {MAX_TEXT} characters of definitions", cure="Split it")
     return tuple(_read(package, path, text) for path, text in sorted(files.items()))
 
 
@@ -153,6 +160,8 @@ class _Reader:
             raise self._fault(number, f"'{content}' is neither 'type name' nor 'TYPE NAME=value'")
         name, value, is_constant = _split(rest)
         self._check_name(number, name, is_constant=is_constant)
+        if not _VALUE.fullmatch(value):
+            raise self._fault(number, "the value has a backslash, or a character that is not plain ASCII")
         spelt = self._check_type(number, field_type, is_constant=is_constant)
         if is_constant:
             # rosidl's parser takes equal constants of two parts for one, unless their comments differ

@@ -5,6 +5,7 @@ from __future__ import annotations
 PARTS = {
     "msg/Thing.msg": """# a comment with "quotes" and a [unit]
 string RED='red'
+string TRICKY=a"b; it's %d */ {}
 uint8 LEVEL=3
 std_msgs/Header header
   int16[3] triple          # an indented line

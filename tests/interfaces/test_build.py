@@ -27,6 +27,7 @@ from midspan_whole_msgs.msg import Whole
 
 thing = Thing(triple=[1, -2, 3], values=[0.5, 1.5], names=["a", "bc"], points=[Point(x=2.0)])
 assert thing.on and Thing.RED == "red" and Thing.LEVEL == 3
+assert Thing.TRICKY == 'a"b; it' + "'s %d */ {}"
 assert Service.Request.NONE == Service.Response.NONE == Action.Result.NONE == Action.Feedback.NONE == 0
 whole = Whole(parts=[thing])
 whole.where.transforms = [TransformStamped(child_frame_id="base")]
