@@ -163,7 +163,7 @@ def main() -> None:
     with contextlib.suppress(EndedError):
         signal.signal(signal.SIGTERM, end)
         obey(Peer(node))
-    executor.shutdown()
+    executor.shutdown(1.0)
     spinner.join(2)
     node.destroy_node()
     rclpy.utilities.try_shutdown()

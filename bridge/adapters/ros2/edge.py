@@ -21,16 +21,18 @@ from bridge.adapters.base import (
     MadeBy,
     SideType,
 )
-from bridge.adapters.ros2 import neighbours, shm
+from bridge.adapters.ros2 import neighbours, rcl, shm
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
-from bridge.adapters.ros2.loop import TakeLoop
+from bridge.adapters.ros2.loop import Loop, TakeLoop
+from bridge.adapters.ros2.origins import Origins
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.process import use_profile
 from bridge.adapters.ros2.publisher import Ros2Publisher
 from bridge.adapters.ros2.qos import mismatch
 from bridge.adapters.ros2.subscription import Ros2Subscription
 from bridge.adapters.ros2.types import TypeSupports
+from bridge.adapters.ros2.waitset import WaitSetLoop
 from bridge.config.model import Config
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
@@ -55,8 +57,9 @@ class Ros2Edge(Edge):
         self._prefix = b""
         self._adapts = False
         self._participant: Participant | None = None
-        self._loop: TakeLoop | None = None
+        self._loop: Loop | None = None
         self._graph: Graph | None = None
+        self._origins: Origins | None = None
 
     def start(self, listener: EdgeListener) -> None:
         """Join the DDS network, which is always there; takes about half a second."""
@@ -70,10 +73,13 @@ class Ros2Edge(Edge):
             profile.segment > 0 and self._config.ros2.transport == "auto" and self._config.ros2.profile is None
         )
         self._participant = Participant(self._config.ros2.node, domain(self._config, os.environ))
-        self._loop = TakeLoop()
+        self._loop = TakeLoop() if rcl.has_eventfd() else WaitSetLoop(self._participant)
         self._loop.start()
-        self._graph = Graph(self._participant, self._prefix, self._changed)
-        self._graph.start()
+        graph = self._graph = Graph(self._participant, self._prefix, self._changed)
+        self._origins = Origins(
+            self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
+        )
+        graph.start()
 
     def _changed(self, snapshot: Snapshot) -> None:
         if self._adapts and neighbours.strangers(snapshot.participants, self._prefix):
@@ -102,6 +108,9 @@ class Ros2Edge(Edge):
         if graph is None or loop is None or participant is None:
             return
         graph.stop()
+        origins, self._origins = self._origins, None
+        if origins is not None:
+            origins.close()
         with self._lock:
             endpoints: list[Ros2Subscription | Ros2Publisher] = [*self._subscriptions, *self._publishers]
         for endpoint in endpoints:
@@ -115,13 +124,7 @@ class Ros2Edge(Edge):
 
     def is_own_network(self, origin: Origin) -> bool:
         """Whether a ROS 2 origin is ours, or its participant is seen on our DDS network."""
-        if origin.side != self.side or self._graph is None:
-            return False
-        try:
-            prefix = bytes.fromhex(origin.network)
-        except ValueError:
-            return False
-        return prefix == self._prefix or prefix in self._graph.snapshot.participants
+        return origin.side == self.side and self._origins is not None and self._origins.is_own(origin.network)
 
     def endpoints(self) -> Sequence[Endpoint]:
         """Publishers and subscriptions of all other participants."""
@@ -183,16 +186,16 @@ class Ros2Edge(Edge):
 
     def warnings(self) -> list[str]:
         """Native subscriptions that do not hear what we publish, and why."""
+        offers: dict[str, set[Qos]] = {}
         with self._lock:
-            publishers = {p.topic: p for p in self._publishers}
+            for publisher in self._publishers:
+                offers.setdefault(publisher.topic, set()).add(publisher.qos)
         found = []
         for endpoint in self.endpoints():
-            publisher = publishers.get(endpoint.topic)
-            if publisher is None or endpoint.kind is not Kind.SUBSCRIPTION or endpoint.made_by is not MadeBy.NATIVE:
-                continue
-            why = mismatch(publisher.qos, endpoint.qos)
-            if why:
-                found.append(f"{endpoint.topic}: {endpoint.node or 'a node'} does not hear it: {why}")
+            if endpoint.kind is Kind.SUBSCRIPTION and endpoint.made_by is MadeBy.NATIVE:
+                reasons = {mismatch(qos, endpoint.qos) for qos in offers.get(endpoint.topic, ())} - {""}
+                node = endpoint.node or "a node"
+                found += [f"{endpoint.topic}: {node} does not hear us: {why}" for why in sorted(reasons)]
         return found
 
     def _subscription_closed(self, subscription: Ros2Subscription) -> None:

@@ -7,12 +7,13 @@ rclpy's executors look at every one for each message.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import select
 import threading
 from collections import deque
-from typing import Protocol
+from typing import Any, Protocol
 
 from bridge.adapters.ros2 import rcl
 
@@ -26,6 +27,10 @@ class Reader(Protocol):
     """A DDS reader that the loop serves."""
 
     @property
+    def handle(self) -> Any:
+        """Rclpy's inner subscription."""
+
+    @property
     def pointer(self) -> int:
         """``rcl_subscription_t *``."""
 
@@ -36,7 +41,23 @@ class Reader(Protocol):
         """Give the reader back to the middleware; nothing refers to it any more."""
 
 
-class TakeLoop:
+class Loop(Protocol):
+    """What serves the readers."""
+
+    def start(self) -> None:
+        """Start the thread."""
+
+    def add(self, reader: Reader) -> None:
+        """Serve a reader from now on, what it already holds included."""
+
+    def remove(self, reader: Reader) -> None:
+        """Stop serving a reader and destroy it, on the loop's thread and soon."""
+
+    def stop(self) -> None:
+        """End the thread and destroy all readers."""
+
+
+class TakeLoop(Loop):
     """The thread, and the readers that it serves."""
 
     def __init__(self) -> None:
@@ -93,7 +114,8 @@ class TakeLoop:
         reader = self._readers.get(descriptor)
         if reader is None:
             return
-        os.eventfd_read(descriptor)
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(descriptor)
         try:
             more = reader.drain(taker, TAKES_PER_TURN)
         except Exception:
@@ -103,7 +125,7 @@ class TakeLoop:
             os.eventfd_write(descriptor, 1)
 
     def _drop(self, reader: Reader) -> None:
-        for descriptor, known in self._readers.items():
+        for descriptor, known in list(self._readers.items()):
             if known is reader:
                 rcl.wake_by_eventfd(reader.pointer, None)
                 del self._readers[descriptor]

@@ -100,30 +100,33 @@ def stamped(own: Path, prefix: bytes) -> str:
     except ET.ParseError as err:
         msg = f"ros2.profile {own}: not XML: {err}"
         raise ValueError(msg) from None
-    space = root.tag.rpartition("}")[0] + "}" if root.tag.startswith("{") else ""
-    for participant in root.iter(f"{space}participant"):
-        rtps = participant.find(f"{space}rtps")
+    for element in root.iter():
+        # Fast DDS does not heed the namespace, and ElementTree writes none as the default one.
+        element.tag = element.tag.rpartition("}")[2]
+    for participant in root.iter("participant"):
+        rtps = participant.find("rtps")
         if participant.get("is_default_profile") == "true" and rtps is not None:
-            _stamp(rtps, prefix, space)
-            return ET.tostring(root, encoding="unicode", xml_declaration=True, default_namespace=space[1:-1] or None)
+            _stamp(rtps, prefix)
+            root.set("xmlns", _NAMESPACE)
+            return ET.tostring(root, encoding="unicode", xml_declaration=True)
     msg = f'ros2.profile {own}: has no <participant is_default_profile="true"> with an <rtps> element'
     raise ValueError(msg)
 
 
-def _stamp(rtps: ET.Element, prefix: bytes, space: str = "") -> None:
+def _stamp(rtps: ET.Element, prefix: bytes) -> None:
     """Set the prefix, and have the participant's own writers and readers ignore each other."""
-    for old in rtps.findall(f"{space}prefix"):
+    for old in rtps.findall("prefix"):
         rtps.remove(old)
-    _text(rtps, f"{space}prefix", prefix.hex("."))
-    policy = rtps.find(f"{space}propertiesPolicy")
+    _text(rtps, "prefix", prefix.hex("."))
+    policy = rtps.find("propertiesPolicy")
     if policy is None:
-        policy = ET.SubElement(rtps, f"{space}propertiesPolicy")
-    properties = policy.find(f"{space}properties")
+        policy = ET.SubElement(rtps, "propertiesPolicy")
+    properties = policy.find("properties")
     if properties is None:
-        properties = ET.SubElement(policy, f"{space}properties")
-    entry = ET.SubElement(properties, f"{space}property")
-    _text(entry, f"{space}name", "fastdds.ignore_local_endpoints")
-    _text(entry, f"{space}value", "true")
+        properties = ET.SubElement(policy, "properties")
+    entry = ET.SubElement(properties, "property")
+    _text(entry, "name", "fastdds.ignore_local_endpoints")
+    _text(entry, "value", "true")
 
 
 def _text(parent: ET.Element, tag: str, text: str) -> None:

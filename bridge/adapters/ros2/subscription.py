@@ -18,11 +18,10 @@ from typing import Any, NamedTuple
 from bridge.adapters.base import Deliver, Endpoint, MadeBy
 from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.graph import Graph
-from bridge.adapters.ros2.loop import Reader, TakeLoop
+from bridge.adapters.ros2.loop import Loop, Reader
 from bridge.adapters.ros2.mark import is_marked
 from bridge.adapters.ros2.participant import Participant
 from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.messages.errors import MessageError
 
 LATCHED_DEPTH = 128
 """Depth of a reader of latched publishers: KEEP_LAST counts over all of a reader's writers, and they come at once."""
@@ -59,7 +58,7 @@ class Ros2Subscription:
         deliver: Deliver,
         *,
         participant: Participant,
-        loop: TakeLoop,
+        loop: Loop,
         graph: Graph,
         check: Callable[[bytes], bytes],
         closed: Callable[[Ros2Subscription], None],
@@ -69,7 +68,7 @@ class Ros2Subscription:
         self._participant, self._loop, self._graph = participant, loop, graph
         self._on_closed = closed
         self._lock = threading.Lock()
-        self._readers: dict[Class, _ClassReader] = {}
+        self._readers: dict[Class, ClassReader] = {}
         self._sources: dict[bytes, _Source] = {}
         self.closed = False
         self._complained = float("-inf")
@@ -94,7 +93,7 @@ class Ros2Subscription:
             for old in self._readers.keys() - wanted if wanted else ():
                 self._loop.remove(self._readers.pop(old))
 
-    def _open(self, reader_class: Class) -> _ClassReader:
+    def _open(self, reader_class: Class) -> ClassReader:
         least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
         qos = replace(
             self.qos,
@@ -103,7 +102,7 @@ class Ros2Subscription:
             depth=max(least, self.qos.depth),
         )
         handle = self._participant.make_reader(self._message_class, self.topic, qos)
-        reader = _ClassReader(self, reader_class, handle, self._participant)
+        reader = ClassReader(self, reader_class, handle, self._participant)
         self._loop.add(reader)
         return reader
 
@@ -143,11 +142,11 @@ class Ros2Subscription:
             self._sources[gid] = source
         return source
 
-    def complain(self, source: str, err: Exception) -> None:
-        """Log a bad message, at a limited rate."""
+    def failed(self, source: str) -> None:
+        """Log the exception that one message met, at a limited rate; the next message is not its fault."""
         if time.monotonic() - self._complained > _LOG_SECONDS:
             self._complained = time.monotonic()
-            _log.warning("%s from %s: message dropped: %s", self.topic, source, err)
+            _log.exception("%s: a message of %s is dropped", self.topic, source)
 
     def close(self) -> None:
         """Stop delivering and give the readers back. Safe to call twice."""
@@ -161,7 +160,7 @@ class Ros2Subscription:
         self._on_closed(self)
 
 
-class _ClassReader(Reader):
+class ClassReader(Reader):
     """One DDS reader of a subscription."""
 
     def __init__(self, owner: Ros2Subscription, reader_class: Class, handle: Any, participant: Participant) -> None:
@@ -169,13 +168,21 @@ class _ClassReader(Reader):
         # Held until `destroy`, so that the pointer stays good whatever thread closes the subscription.
         handle.__enter__()
         self._pointer = int(handle.pointer)
+        self.topic = owner.topic
         self._large = False
 
     @property
+    def handle(self) -> Any:
+        """See `Reader`."""
+        return self._handle
+
+    @property
     def pointer(self) -> int:
+        """See `Reader`."""
         return self._pointer
 
     def drain(self, taker: rcl.Taker, limit: int) -> bool:
+        """See `Reader`."""
         owner = self._owner
         for _ in range(limit):
             taken = taker.take(self._pointer, large=self._large)
@@ -186,15 +193,15 @@ class _ClassReader(Reader):
             source = owner.source(gid, self._class)
             if source is None:
                 continue
-            if not payload.startswith(_LITTLE_ENDIAN_CDR):
-                try:
+            try:
+                if not payload.startswith(_LITTLE_ENDIAN_CDR):
                     payload = owner.check(payload)
-                except MessageError as err:
-                    owner.complain(source, err)
-                    continue
-            owner.deliver(payload, source, source_ns)
+                owner.deliver(payload, source, source_ns)
+            except Exception:
+                owner.failed(source)
         return True
 
     def destroy(self) -> None:
+        """See `Reader`."""
         self._handle.__exit__(None, None, None)
         self._participant.destroy(self._handle)

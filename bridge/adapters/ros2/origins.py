@@ -1,0 +1,85 @@
+"""Which ROS 2 origins on the hub are the very DDS network that this worker is on.
+
+DDS networks have no identity: two of "domain 0" are one only if their participants see each other. So a Midspan
+participant that is seen here is on our network. One that is not seen yet may still come: for a moment its origin
+counts as ours, since nothing may cross while it is unknown where it comes from.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+DISCOVERY_SECONDS = 1.5
+"""A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
+
+_KEPT = 64
+_FILE = "prefixes"
+
+
+class Origins:
+    """Tells own origins from foreign ones.
+
+    Args:
+        own: our participant's GUID prefix.
+        folder: where the prefixes of this daemon's past participants are kept: a hub session may outlive its dead
+            worker for some seconds, and its origin is ours.
+        participants: the GUID prefixes that are on our DDS network now.
+        settled: called when an origin's moment is over.
+    """
+
+    def __init__(
+        self, own: bytes, folder: Path, participants: Callable[[], frozenset[bytes]], settled: Callable[[], None]
+    ) -> None:
+        self._participants, self._settled = participants, settled
+        self._past = _remember(own, folder / _FILE)
+        self._lock = threading.Lock()
+        self._first_seen: dict[bytes, float] = {}
+        self._timers: list[threading.Timer] = []
+
+    def is_own(self, network: str) -> bool:
+        """Whether the origin with this network identity (24 hex digits) is ours."""
+        try:
+            prefix = bytes.fromhex(network)
+        except ValueError:
+            return False
+        if prefix in self._past or prefix in self._participants():
+            return True
+        now = time.monotonic()
+        with self._lock:
+            first = self._first_seen.get(prefix)
+            if first is None:
+                first = self._first_seen[prefix] = now
+                timer = threading.Timer(DISCOVERY_SECONDS, self._settled)
+                timer.daemon = True
+                timer.start()
+                self._timers = [t for t in self._timers if t.is_alive()] + [timer]
+        return now - first < DISCOVERY_SECONDS
+
+    def close(self) -> None:
+        """End the timers."""
+        with self._lock:
+            timers, self._timers = self._timers, []
+        for timer in timers:
+            timer.cancel()
+            timer.join()
+
+
+def _remember(own: bytes, file: Path) -> frozenset[bytes]:
+    """Add our prefix to those kept, and return them all."""
+    try:
+        lines = file.read_text().split()
+    except OSError:
+        lines = []
+    lines = [*(line for line in lines if line != own.hex()), own.hex()][-_KEPT:]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("\n".join(lines) + "\n")
+    past = set()
+    for line in lines:
+        try:
+            past.add(bytes.fromhex(line))
+        except ValueError:
+            continue
+    return frozenset(past)

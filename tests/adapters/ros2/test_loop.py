@@ -1,0 +1,109 @@
+"""The loop that takes messages: idle readers cost nothing, bursts arrive whole, and it does without eventfd."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.base import Kind
+from bridge.adapters.ros2 import rcl
+from bridge.adapters.ros2.loop import TAKES_PER_TURN
+from bridge.adapters.ros2.subscription import ClassReader
+from bridge.hub.qos import Qos
+from bridge.messages.registry import Registry
+from tests.adapters.ros2.conftest import RunningEdge, text
+from tests.support.peer import Peer
+from tests.support.wait import until
+
+STRING = "std_msgs/msg/String"
+
+
+def test_idle_subscriptions_are_never_looked_at(
+    edge: RunningEdge, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: Counter[str] = Counter()
+    drain = ClassReader.drain
+
+    def counted(self: ClassReader, taker: rcl.Taker, limit: int) -> bool:
+        looks[self.topic] += 1
+        return drain(self, taker, limit)
+
+    monkeypatch.setattr(ClassReader, "drain", counted)
+    for number in range(200):
+        edge.subscribe(f"/idle/topic{number}", STRING)
+    inbox = edge.subscribe("/idle/active", STRING)
+    native = peer()
+    publisher = native.advertise("/idle/active", "std_msgs/String")
+    edge.seen("/idle/active", Kind.PUBLISHER)
+
+    def hundred() -> bool:
+        native.publish(publisher, {"data": "x"})
+        return len(inbox.messages) >= 100
+
+    until(hundred, "a hundred messages")
+    assert set(looks) == {"/idle/active"}
+
+
+def test_burst_longer_than_a_turn_arrives_whole(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    texts: list[str] = []
+    going = threading.Event()
+
+    def deliver(payload: bytes, _source: str, _time_ns: int | None) -> None:
+        going.wait(20)
+        texts.append(text(payload))
+
+    count = 5 * TAKES_PER_TURN
+    edge.edge.subscribe("/burst", edge.type(STRING), Qos(depth=2 * count), deliver)
+    native = peer()
+    publisher = native.advertise("/burst", "std_msgs/String", depth=2 * count)
+    native.advertise("/burst_known", "std_msgs/String")
+    edge.seen("/burst", Kind.PUBLISHER)
+    until(lambda: native.graph()["subscriptions"].get("/burst") == ["midspan"], "our subscription on the native graph")
+    for number in range(count):
+        native.publish(publisher, {"data": str(number)})
+    going.set()
+    until(lambda: len(texts) >= count, "the whole burst")
+    assert texts == [str(number) for number in range(count)]
+
+
+def test_route_that_raises_does_not_stop_the_others(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    def broken(_payload: bytes, _source: str, _time_ns: int | None) -> None:
+        raise RuntimeError
+
+    edge.edge.subscribe("/raises", edge.type(STRING), Qos(), broken)
+    inbox = edge.subscribe("/raises", STRING)
+    native = peer()
+    publisher = native.advertise("/raises", "std_msgs/String")
+
+    def ten() -> bool:
+        native.publish(publisher, {"data": "x"})
+        return len(inbox.messages) >= 10
+
+    until(ten, "ten messages beside the broken route")
+
+
+def test_without_eventfd(
+    registry: Registry, peer: Callable[..., Peer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rcl, "has_eventfd", lambda: False)
+    edge = RunningEdge(registry, tmp_path)
+    try:
+        closed = edge.edge.subscribe("/wait_set", edge.type(STRING), Qos(), lambda _p, _s, _t: None)
+        inbox = edge.subscribe("/wait_set", STRING)
+        native = peer()
+        publisher = native.advertise("/wait_set", "std_msgs/String")
+
+        def more(than: int) -> bool:
+            native.publish(publisher, {"data": "x"})
+            return len(inbox.messages) > than
+
+        until(lambda: more(2), "messages by the wait set")
+        closed.close()
+        count = len(inbox.messages)
+        until(lambda: more(count + 2), "messages after a subscription was closed")
+    finally:
+        edge.edge.stop()

@@ -1,0 +1,71 @@
+"""Which origins are our own network."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2 import origins as module
+from bridge.adapters.ros2.mark import new_prefix
+from bridge.adapters.ros2.origins import Origins
+from tests.support.wait import until
+
+HOST = b"\x01\x0f\x00\x00"
+
+
+class Case:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.seen: set[bytes] = set()
+        self.settled = threading.Event()
+        self.open: list[Origins] = []
+
+    def start(self, own: bytes) -> Origins:
+        made = Origins(own, self.folder, lambda: frozenset(self.seen), self.settled.set)
+        self.open.append(made)
+        return made
+
+
+@pytest.fixture
+def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Case]:
+    monkeypatch.setattr(module, "DISCOVERY_SECONDS", 0.05)
+    case = Case(tmp_path)
+    yield case
+    for made in case.open:
+        made.close()
+
+
+def test_own_and_seen_participants(case: Case) -> None:
+    own, seen = new_prefix(HOST), new_prefix(HOST)
+    case.seen.add(seen)
+    origins = case.start(own)
+    assert origins.is_own(own.hex())
+    assert origins.is_own(seen.hex())
+    assert not origins.is_own("not hex")
+
+
+def test_unknown_participant_counts_as_own_for_a_moment(case: Case) -> None:
+    origins, other = case.start(new_prefix(HOST)), new_prefix(HOST)
+    assert origins.is_own(other.hex())
+    until(case.settled.is_set, "the moment to be over")
+    until(lambda: not origins.is_own(other.hex()), "the origin to be foreign")
+
+
+def test_dead_predecessors_are_own(case: Case) -> None:
+    dead, own = new_prefix(HOST), new_prefix(HOST)
+    case.start(dead)
+    origins = case.start(own)
+    case.settled.wait(0.1)
+    assert origins.is_own(dead.hex())
+
+
+def test_spoiled_or_long_file_is_borne(case: Case) -> None:
+    old = [new_prefix(HOST).hex() for _ in range(100)]
+    (case.folder / "prefixes").write_text("\n".join(["junk", *old]))
+    case.start(new_prefix(HOST))
+    kept = (case.folder / "prefixes").read_text().split()
+    assert len(kept) == 64
+    assert kept[-2] == old[-1]

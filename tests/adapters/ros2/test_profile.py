@@ -1,0 +1,54 @@
+"""The Fast DDS profile that is generated, and a user's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from bridge.adapters.ros2.mark import new_prefix
+from bridge.adapters.ros2.profile import Profile, stamped
+
+PREFIX = new_prefix(b"\x01\x0f\x12\x34")
+SPACE = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}"
+
+
+def texts(xml: str, tag: str) -> list[str | None]:
+    return [element.text for element in ET.fromstring(xml).iter(SPACE + tag)]
+
+
+def test_shared_memory_beside_udp() -> None:
+    xml = Profile(PREFIX, 32 << 20, localhost_only=True).xml()
+    assert texts(xml, "type") == ["SHM", "UDPv4"]
+    assert texts(xml, "segment_size") == [str(32 << 20)]
+    assert texts(xml, "prefix") == [PREFIX.hex(".")]
+    assert texts(xml, "address") == ["127.0.0.1", "239.255.0.1", "127.0.0.1"]
+
+
+def test_udp_alone_on_all_interfaces() -> None:
+    xml = Profile(PREFIX, 0, localhost_only=False).xml()
+    assert texts(xml, "type") == ["UDPv4"]
+    assert texts(xml, "interfaceWhiteList") == []
+
+
+@pytest.mark.parametrize("space", ["", ' xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"'])
+def test_own_profile_gets_our_mark(tmp_path: Path, space: str) -> None:
+    own = tmp_path / "own.xml"
+    own.write_text(
+        f"""<dds{space}><profiles><participant profile_name="other"><rtps/></participant>
+        <participant profile_name="p" is_default_profile="true"><rtps><name>kept</name><prefix>1.2</prefix></rtps>
+        </participant></profiles></dds>"""
+    )
+    xml = stamped(own, PREFIX)
+    assert texts(xml, "prefix") == [PREFIX.hex(".")]
+    assert texts(xml, "value") == ["true"]
+    assert "<name>kept</name>" in xml
+
+
+@pytest.mark.parametrize(("text", "why"), [("<dds", "not XML"), ("<dds/>", "is_default_profile")])
+def test_own_profile_that_cannot_serve(tmp_path: Path, text: str, why: str) -> None:
+    own = tmp_path / "own.xml"
+    own.write_text(text)
+    with pytest.raises(ValueError, match=why):
+        stamped(own, PREFIX)

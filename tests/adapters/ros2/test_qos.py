@@ -1,0 +1,36 @@
+"""QoS between ours and rclpy's, and which offers meet which requests."""
+
+from __future__ import annotations
+
+import pytest
+
+from bridge.adapters.ros2.qos import mismatch, to_rclpy
+from bridge.hub.qos import Durability, History, Qos, Reliability
+
+RELIABLE, BEST_EFFORT = Reliability.RELIABLE, Reliability.BEST_EFFORT
+VOLATILE, LATCHED = Durability.VOLATILE, Durability.TRANSIENT_LOCAL
+
+
+@pytest.mark.parametrize(
+    ("offered", "requested", "why"),
+    [
+        (Qos(RELIABLE, LATCHED), Qos(BEST_EFFORT, VOLATILE), ""),
+        (Qos(RELIABLE, VOLATILE), Qos(RELIABLE, VOLATILE), ""),
+        (Qos(BEST_EFFORT, VOLATILE), Qos(RELIABLE, VOLATILE), "best effort"),
+        (Qos(RELIABLE, VOLATILE), Qos(RELIABLE, LATCHED), "volatile"),
+        (Qos(deadline_ns=10**9), Qos(deadline_ns=10**9), ""),
+        (Qos(deadline_ns=2 * 10**9), Qos(deadline_ns=10**9), "deadline"),
+        (Qos(), Qos(deadline_ns=10**9), "deadline"),
+    ],
+)
+def test_mismatch(offered: Qos, requested: Qos, why: str) -> None:
+    found = mismatch(offered, requested)
+    assert why in found
+    assert bool(found) == bool(why)
+
+
+def test_our_endpoints_have_a_bounded_history() -> None:
+    profile = to_rclpy(Qos(BEST_EFFORT, LATCHED, History.KEEP_ALL, depth=0)).to_dict()
+    assert (int(profile["history"]), profile["depth"]) == (int(History.KEEP_LAST), 1)
+    assert int(profile["reliability"]) == int(BEST_EFFORT)
+    assert int(profile["durability"]) == int(LATCHED)

@@ -1,0 +1,60 @@
+"""Fast DDS's files in shared memory, on folders of our own."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from bridge.adapters.ros2 import shm
+
+HELD, DEAD, FRESH = "fastrtps_" + "a" * 16, "fastrtps_" + "b" * 16, "fastrtps_" + "c" * 16
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in (HELD, DEAD, FRESH, "fastrtps_port7411"):
+        (tmp_path / name).touch()
+        (tmp_path / f"{name}_el").touch()
+        if name != FRESH:
+            long_ago = time.time() - 60
+            os.utime(tmp_path / f"{name}_el", (long_ago, long_ago))
+    (tmp_path / "somebody_elses").touch()
+    return tmp_path
+
+
+def test_only_segments_of_the_dead_are_removed(folder: Path) -> None:
+    with (folder / f"{HELD}_el").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        before = set(folder.iterdir())
+        assert shm.clean(folder) == 1
+        assert before - set(folder.iterdir()) == {folder / DEAD, folder / f"{DEAD}_el"}
+
+
+def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    assert not shm.other_users(folder)
+    with (folder / f"{HELD}_el").open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        assert shm.other_users(folder)
+        monkeypatch.setattr(os, "getuid", lambda: mine)
+        assert not shm.other_users(folder)
+
+
+@pytest.mark.parametrize(("free_mb", "segment_mb"), [(100_000, 64), (512, 64), (256, 32), (64, 8), (63, 0), (0, 0)])
+def test_segment_is_an_eighth_of_what_is_free(monkeypatch: pytest.MonkeyPatch, free_mb: int, segment_mb: int) -> None:
+    real = os.statvfs("/")
+    values = [*tuple(real)[:11]]
+    values[1], values[4] = 4096, free_mb * 256
+    monkeypatch.setattr(os, "statvfs", lambda _path: os.statvfs_result(values))
+    assert shm.segment_size() == segment_mb << 20
+
+
+def test_no_folder_is_no_room(tmp_path: Path) -> None:
+    assert shm.segment_size(tmp_path / "none") == 0
+    assert shm.clean(tmp_path / "none") == 0
+    assert not shm.other_users(tmp_path / "none")
