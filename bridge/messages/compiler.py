@@ -31,6 +31,9 @@ FieldPaths = Sequence[tuple[Path, Path]]
 Match = Callable[[str, str], FieldPaths]
 """Gives the fields of a pair of types that stand for each other, as paths in the source and in the target."""
 
+MAX_STEPS = 100_000
+"""Most fields of a type, with those of the types that it nests, each as often as it occurs."""
+
 MAX_DEFAULT = 16 << 20
 """Most bytes of default values that one message is given."""
 
@@ -66,6 +69,8 @@ class _Compiler:
         self.match = match
         self.program = program
         self._defaults = 0
+        self._steps = 0
+        self._least: dict[str, int] = {}
 
     def structure(self, one: Definition, two: Definition, at: Path) -> None:
         """Convert one structure ``one`` into one ``two``."""
@@ -148,6 +153,7 @@ class _Compiler:
 
     def value(self, one: FieldType, two: FieldType, at: Path) -> None:
         """Convert one field."""
+        self._step()
         name = _name(at)
         bound = min(filter(None, (_bound(one), _bound(two))), default=0)
         strings = min(filter(None, (one.string_bound, two.string_bound)), default=0)
@@ -186,6 +192,7 @@ class _Compiler:
 
     def skip(self, kind: FieldType, at: Path) -> None:
         """Pass over one field of the source."""
+        self._step()
         name = _name(at)
         if kind.shape is Shape.ARRAY:
             start = Instruction(Op.REPEAT, size=self.least(kind.element), bound=kind.length, field=name)
@@ -217,6 +224,7 @@ class _Compiler:
 
     def default(self, kind: FieldType, default: DefaultValue | None, at: Path) -> None:
         """Write a field that the source does not have: the definition's default value, else nothing and zero."""
+        self._step()
         if kind.shape is Shape.SINGLE:
             self._default_element(kind, default, at)
         elif kind.shape is Shape.SEQUENCE or isinstance(default, tuple):
@@ -281,12 +289,24 @@ class _Compiler:
         if kind.base in TIME_TYPES:
             size = 8
         elif kind.nested:
-            definition = self.source.types[kind.base]
-            size = sum(self.least(field.type) for field in definition.fields)
-            size += self._hidden_member(definition, self.source)
+            size = self._least_of(kind.base)
         else:
             size = 4 if kind.base in STRING_TYPES else PRIMITIVE_SIZES[kind.base]
         return min(size * (kind.length if kind.shape is Shape.ARRAY else 1), MAX_STEP)
+
+    def _least_of(self, name: str) -> int:
+        if name not in self._least:
+            definition = self.source.types[name]
+            size = sum(self.least(field.type) for field in definition.fields)
+            self._least[name] = size + self._hidden_member(definition, self.source)
+        return self._least[name]
+
+    def _step(self) -> None:
+        """Types that nest each other many times over would take for ever to compile."""
+        self._steps += 1
+        if self._steps > MAX_STEPS:
+            msg = f"{self.program.name} is too large to be converted: it has more than {MAX_STEPS} fields in all"
+            raise MessageTypeError(msg)
 
 
 def _parts(definition: Definition, schema: Schema, wanted: set[Path], prefix: Path) -> Iterator[_Part]:

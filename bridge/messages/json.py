@@ -63,10 +63,11 @@ def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type
         MessageTypeError: the type is unknown.
         ConversionError: a field is unknown or its value does not fit; names the field.
     """
+    check = registry.hub_check(type_name, type_hash)
     schema = registry.schema(type_name, type_hash)
     writer = _Writer(schema)
     writer.structure(schema.root, value, "")
-    return _HEADER + bytes(writer.data)
+    return check(_HEADER + bytes(writer.data))
 
 
 class _Reader:

@@ -16,6 +16,9 @@ MAX_VARIANTS = 16
 MAX_NAMES = 10_000
 """Learned names that are kept."""
 
+MAX_LEARNED = 64 << 20
+"""Characters of definitions that are learned, in all."""
+
 MAX_NESTED = 2_000
 """Types that one definition may nest."""
 
@@ -29,6 +32,7 @@ class Library:
         self._learned: dict[str, dict[str, Schema]] = {}
         self._nested: dict[str, Definition] = {}
         self._found: dict[str, Schema] = {}
+        self._room = MAX_LEARNED
 
     def fingerprint(self, schema: Schema) -> str:
         """The schema's md5 or RIHS01 hash."""
@@ -49,11 +53,14 @@ class Library:
         if announced and announced != fingerprint:
             msg = f"the definition sent of {name} has the fingerprint {fingerprint}, but {announced} was announced"
             raise MessageTypeError(msg, f"build the publisher again with the right version of {name.split('/')[0]}")
-        if name not in self._learned and len(self._learned) >= MAX_NAMES:
-            msg = f"{name} is not taken up: {MAX_NAMES} types were learned already"
-            raise MessageTypeError(msg)
+        if fingerprint in self._learned.get(name, {}):
+            self._learned[name][fingerprint] = self._learned[name].pop(fingerprint)
+            return
+        if len(self._learned) >= MAX_NAMES or len(text) > self._room:
+            msg = f"{name} is not taken up: too many definitions were learned already"
+            raise MessageTypeError(msg, "restart the worker if the network's types are meant to change so often")
+        self._room -= len(text)
         variants = self._learned.setdefault(name, {})
-        variants.pop(fingerprint, None)
         variants[fingerprint] = schema
         if len(variants) > MAX_VARIANTS:
             del variants[next(iter(variants))]

@@ -60,7 +60,7 @@ def _locate(trouble: int, pc: int, head: int) -> int:
 
 
 def _run(program: int, source: int, size: int, target: int) -> int:
-    """Run a program over one message.
+    """Run a program over one message. One long function: its state is to stay in the processor's registers.
 
     Args:
         program: address of the program.

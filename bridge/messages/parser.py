@@ -30,6 +30,12 @@ from bridge.messages.names import is_legal_field
 MAX_TEXT = 4 << 20
 """Longest definition text that is read, in characters."""
 
+MAX_LINE = 20_000
+"""Longest line of a definition, but for comments."""
+
+MAX_DEPTH = 64
+"""How deep types may nest each other."""
+
 MAX_ARRAY = 1 << 28
 """Longest fixed array or bound that is accepted."""
 
@@ -62,13 +68,13 @@ def parse_definition(text: str, name: str, world: World) -> Definition:
     constants: list[Constant] = []
     native = True
     for number, line in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
-        bare = _strip_comment(line)
-        if not bare or bare.startswith("@"):
+        bare = _strip_comment(line) if len(line) <= MAX_LINE else line.strip()
+        if not bare or bare.startswith(("@", "#")):
             continue
         try:
             native &= _read_line(line, bare, name, world, fields, constants)
         except ValueError as err:
-            msg = f"cannot read the definition of {name}, line {number} ({bare!r}): {err}"
+            msg = f"cannot read the definition of {name}, line {number} ({bare[:100]!r}): {err}"
             raise MessageTypeError(msg) from None
     seen: set[str] = set()
     for field in fields:
@@ -132,6 +138,9 @@ def closure(root: Definition, types: dict[str, Definition]) -> Schema:
         if definition.name in path:
             msg = f"{root.name} cannot be used: {definition.name} contains itself"
             raise MessageTypeError(msg)
+        if len(path) > MAX_DEPTH:
+            msg = f"{root.name} cannot be used: types nest each other more than {MAX_DEPTH} deep"
+            raise MessageTypeError(msg)
         if definition.name in done:
             return
         for name in definition.nested_names():
@@ -181,9 +190,9 @@ def _base_name(base: str, owner: str, world: World) -> str:
 
 def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Field], constants: list[Constant]) -> bool:
     """Read one line; whether ``world`` itself would write it so."""
-    match = _LINE.fullmatch(bare)
+    match = _LINE.fullmatch(bare) if len(bare) <= MAX_LINE else None
     if match is None:
-        msg = "expected '<type> <name>'"
+        msg = "expected '<type> <name>'" if len(bare) <= MAX_LINE else f"longer than {MAX_LINE} characters"
         raise ValueError(msg)
     type_text, name, rest = match.groups()
     if rest.startswith("="):

@@ -52,6 +52,7 @@ class Registry:
         self._converters: dict[tuple[str, ...], Conversion] = {}
         self._answers: dict[tuple[str, str, str], Conversion] = {}
         self._checks: dict[str, Convert] = {}
+        self._counterparts: dict[tuple[str, str], Schema] = {}
 
     def ros1(self, name: str) -> SideType:
         """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there.
@@ -89,7 +90,7 @@ class Registry:
             if md5 not in ANY_MD5 and md5 in self._ros1.fingerprints(name):
                 return
             self._ros1.learn(name, definition, "" if md5 in ANY_MD5 else md5)
-            self._answers.clear()
+            self._forget()
 
     def learn_ros2(self, name: str, definition: str) -> None:
         """Take up the full definition of a ROS 2 type that was told on the hub.
@@ -102,7 +103,7 @@ class Registry:
                 msg = f"{name!r} is not a ROS 2 message type"
                 raise MessageTypeError(msg)
             self._ros2.learn(name, definition)
-            self._answers.clear()
+            self._forget()
 
     def ros1_to_hub(self, name: str, md5: str = "", definition: str = "") -> Conversion:
         """How a ROS 1 publisher's bytes become the hub's.
@@ -169,6 +170,11 @@ class Registry:
                 short = schema.name.split("/")[2]
                 files.setdefault(f"msg/{short}.msg", own_text(schema.root))
             return files
+
+    def _forget(self) -> None:
+        """A new definition may change what stands for what."""
+        self._answers.clear()
+        self._counterparts.clear()
 
     def _derivable(self, package: str) -> Iterator[Schema]:
         """ROS 2 types of a package that are made from ROS 1 types."""
@@ -252,6 +258,12 @@ class Registry:
         It is one that is installed; else one that others use on the hub and that says the same, field for field; else
         it is derived.
         """
+        key = (ros1.name, self._ros1.fingerprint(ros1))
+        if key not in self._counterparts:
+            self._counterparts[key] = self._match_ros2(ros1)
+        return self._counterparts[key]
+
+    def _match_ros2(self, ros1: Schema) -> Schema:
         names = self._rules.ros2_names(ros1.name)
         for name in names:
             found = self._ros2.installed(name)
@@ -265,8 +277,13 @@ class Registry:
 
     def _to_ros1(self, ros2: Schema) -> Schema:
         """The ROS 1 type that stands for a ROS 2 type: announced by publishers, installed, else derived."""
+        key = (ros2.name, self._ros2.fingerprint(ros2))
+        if key not in self._counterparts:
+            self._counterparts[key] = self._match_ros1(ros2, key[1])
+        return self._counterparts[key]
+
+    def _match_ros1(self, ros2: Schema, wanted: str) -> Schema:
         first: Schema | None = None
-        wanted = self._ros2.fingerprint(ros2)
         for ros1 in self._ros1_variants(ros2.name):
             back = self._to_ros2(ros1)
             if back.name == ros2.name and self._ros2.fingerprint(back) == wanted:

@@ -50,6 +50,7 @@ def cdr_to_ros1(source: Schema, target: Schema, pairs: PairTable) -> Convert:
 
 def check_cdr(schema: Schema) -> Convert:
     """The check of CDR bytes against their type; the same bytes come back where nothing is to be mended."""
+    # numba takes a quarter of a second to import, which who only looks at types need not pay.
     from bridge.messages.machine import run
     from bridge.messages.memory import HEAD
 

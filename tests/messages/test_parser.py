@@ -8,7 +8,10 @@ from bridge.messages.definition import Definition, FieldType, Schema, Shape, Wor
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.hashes import md5_sum, rihs01
 from bridge.messages.parser import closure, parse_definition, parse_full
+from bridge.messages.registry import Registry
 from bridge.messages.text import full_text
+
+SEPARATOR = "=" * 80 + "\n"
 
 TYPES = [
     ("int32", World.ROS1, FieldType("int32")),
@@ -120,3 +123,29 @@ def test_a_missing_nested_type_is_named():
 
 def parse(text: str, world: World) -> Definition:
     return parse_definition(text, "my_msgs/Sample" if world is World.ROS1 else "my_msgs/msg/Sample", world)
+
+
+def chain(count: int, width: int, last: str = "") -> str:
+    """Types that nest each other ``count`` deep, each ``width`` times."""
+    parts = []
+    for number in range(count):
+        fields = "".join(f"my_msgs/T{number + 1} f{k}\n" for k in range(width))
+        parts.append(fields if number == 0 else f"MSG: my_msgs/T{number}\n{fields}")
+    return SEPARATOR.join([*parts, f"MSG: my_msgs/T{count}\n{last}"])
+
+
+def test_types_that_nest_too_deep_are_refused():
+    with pytest.raises(MessageTypeError, match="more than 64 deep"):
+        Registry().ros1_to_hub("my_msgs/T0", definition=chain(1500, 1, "uint8 a\n"))
+
+
+@pytest.mark.parametrize("last", ["", "uint8 a\n", "string a\n"])
+def test_types_that_unfold_beyond_measure_are_refused_at_once(last: str):
+    with pytest.raises(MessageTypeError, match="too large to be converted"):
+        Registry().ros1_to_hub("my_msgs/T0", definition=chain(40, 10, last))
+
+
+def test_lines_beyond_measure_are_refused_at_once():
+    with pytest.raises(MessageTypeError, match="longer than"):
+        parse("string a " + "\"'" * 1_000_000, World.ROS2)
+    assert parse("# " + "x" * 100_000 + "\nint8 a", World.ROS2).fields
