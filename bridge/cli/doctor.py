@@ -70,7 +70,8 @@ def _look_around(args: argparse.Namespace) -> Around:
     try:
         config = client_config(args)
     except (ConfigError, OSError) as err:
-        return Around(config_text=str(err), config_good=False, environ=environ, hub=_look_at_hub(Config()))
+        hub = HubView("the hub was not asked: the configuration cannot be used")
+        return Around(config_text=str(err), config_good=False, environ=environ, hub=hub)
     file = args.config or find()
     text = f"{file} is good" if file is not None else "no configuration file: all defaults"
     return Around(config, text, environ=environ, hub=_look_at_hub(config))

@@ -13,7 +13,7 @@ from bridge.adapters.ros2.mark import is_marked
 from bridge.config.model import Config
 from bridge.daemon.workers import worker_kinds
 
-_SECONDS = 10.0
+_SECONDS = 12.0
 
 
 class LookError(Exception):

@@ -1,22 +1,30 @@
 """Files in the folder of POSIX shared memory: whose they are, and which no process uses any more.
 
-Fast DDS 2.14 makes segments ``fastrtps_<hex>`` and ports ``fastrtps_port<n>``, each with a lock file ``<name>_el`` that
-every living user holds locked (flock); zenoh 1.10 makes ``<number>.zenoh``. Both map their files while they use them.
+Fast DDS 2.14 makes segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>``; whoever uses one holds its lock file
+``<name>_el`` locked (flock). zenoh 1.10 makes ``<number>.zenoh`` and holds the file itself locked. Linux tells in
+``/proc/locks`` which files are locked, also by other users (seen with both).
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import os
 import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-_OURS = re.compile(r"fastrtps_[0-9a-z]+(_el)?|fast_datasharing_.*|sem\.fastrtps_port\d+_mutex|\S+\.zenoh")
-_PORT = re.compile(r"fastrtps_port\d+(_el)?|sem\.fastrtps_.*")
+_SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
+_PORT = re.compile(r"fastrtps_port\d+")
+_ZENOH = re.compile(r"\d+\.zenoh")
+_LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 _YOUNG_SECONDS = 10.0
-"""A file so young may be just made, and not yet mapped."""
+"""A file so young may be just made, and not yet locked."""
+
+_Lock = tuple[int, int, int]
+"""Device (major, minor) and inode of a locked file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +35,7 @@ class SharedFile:
         path: where it is.
         uid: its owner.
         size: its bytes in memory.
-        held: whether a process maps it or has it open, None where that cannot be told.
+        held: whether a living process uses it, None where that cannot be told.
         young: made just now.
     """
 
@@ -40,7 +48,7 @@ class SharedFile:
     @property
     def fast_dds(self) -> bool:
         """Whether Fast DDS made it."""
-        return not self.path.name.endswith(".zenoh")
+        return not _ZENOH.fullmatch(self.path.name)
 
     @property
     def port(self) -> bool:
@@ -49,53 +57,53 @@ class SharedFile:
 
 
 def shared_files(folder: Path, proc: Path) -> list[SharedFile]:
-    """Files of Fast DDS and zenoh in a folder.
+    """Segments and ports of Fast DDS and pools of zenoh in a folder.
 
     Args:
         folder: ``/dev/shm``.
-        proc: ``/proc``; where it cannot be read, nothing is known of who holds a file.
+        proc: ``/proc``.
     """
-    held, blind = _held(folder, proc)
+    locks = _locks(proc)
     found: list[SharedFile] = []
     for path in sorted(_entries(folder)):
         with contextlib.suppress(OSError):
             stat = path.stat()
-            # a process of another user may hold a file without our seeing it
-            holding = True if str(path) in held else None if blind is None or stat.st_uid in blind else False
+            lock = path if _ZENOH.fullmatch(path.name) else path.with_name(f"{path.name}_el")
             young = time.time() - stat.st_mtime < _YOUNG_SECONDS
-            found.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, holding, young))
+            found.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, _is_held(lock, locks), young))
     return found
 
 
 def _entries(folder: Path) -> Iterator[Path]:
     with contextlib.suppress(OSError):
-        yield from (path for path in folder.iterdir() if _OURS.fullmatch(path.name))
+        yield from (p for p in folder.iterdir() if any(k.fullmatch(p.name) for k in (_SEGMENT, _PORT, _ZENOH)))
 
 
-def _held(folder: Path, proc: Path) -> tuple[set[str], set[int] | None]:
-    """Paths in the folder that processes map or have open, and the users whose processes could not be looked at."""
-    held: set[str] = set()
-    blind: set[int] = set()
+def _locks(proc: Path) -> set[_Lock]:
     try:
-        processes = [entry for entry in proc.iterdir() if entry.name.isdigit()]
+        text = (proc / "locks").read_text()
     except OSError:
-        return held, None
-    prefix = f"{folder}/"
-    for process in processes:
-        uid = -1
-        try:
-            uid = process.stat().st_uid
-            for line in (process / "maps").read_text(errors="replace").splitlines():
-                _, found, name = line.partition(prefix)
-                if found:
-                    held.add(prefix + name.removesuffix(" (deleted)"))
-            for descriptor in (process / "fd").iterdir():
-                with contextlib.suppress(OSError):
-                    target = str(descriptor.readlink())
-                    if target.startswith(prefix):
-                        held.add(target)
-        except PermissionError:
-            blind.add(uid)
-        except OSError:
-            continue  # it has ended meanwhile
-    return held, blind
+        return set()
+    return {(int(m[1], 16), int(m[2], 16), int(m[3])) for m in _LOCK.finditer(text)}
+
+
+def _is_held(lock: Path, locks: set[_Lock]) -> bool | None:
+    try:
+        stat = lock.stat()
+    except FileNotFoundError:
+        return False
+    if (os.major(stat.st_dev), os.minor(stat.st_dev), stat.st_ino) in locks:
+        return True
+    # in a container the list does not have the locks of other containers: try it
+    try:
+        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    else:
+        return False
+    finally:
+        os.close(descriptor)

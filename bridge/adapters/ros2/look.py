@@ -15,8 +15,9 @@ from typing import Any
 
 from bridge.config.model import Config
 
-SECONDS = 1.5
-"""How long it listens: participants answer our first announcement at once."""
+SECONDS = 4.0
+"""How long it listens. Most participants answer our first announcement at once, but a stock one may be found only at
+its next own, and those come every 3 s (seen with Fast DDS 2.14.5)."""
 
 
 def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:

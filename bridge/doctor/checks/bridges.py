@@ -84,9 +84,13 @@ def _on_ros2(around: Around) -> list[Finding]:
     if around.config.ros2.enabled is False or available(around.config):
         return [skip("ROS 2: not on this machine")]
     try:
-        view = dds.look(around.config, around.environ)
+        return of_dds(around, dds.look(around.config, around.environ))
     except dds.LookError as err:
         return [warn(f"ROS 2: the network could not be looked at: {err}")]
+
+
+def of_dds(around: Around, view: dds.DdsView) -> list[Finding]:
+    """What is to be said of a ROS 2 network."""
     findings = _foreign("ROS 2", view.nodes)
     ours = {str(d.get("network")) for d in around.hub.of_side("ros2", around.config.name)}
     others = view.midspans - ours

@@ -23,7 +23,7 @@ def look_at_users(around: Around) -> Sequence[Finding]:
     if around.config.ros2.enabled is False or not around.shm.is_dir():
         return [skip("ROS 2 over shared memory is not used here")]
     mine = {_daemons_user(around)}
-    living = {f.uid for f in shared_files(around.shm, around.proc) if f.fast_dds and f.held is not False}
+    living = {f.uid for f in shared_files(around.shm, around.proc) if f.fast_dds and f.held}
     others = living - mine
     if not others:
         return [ok("one user only")]

@@ -1,0 +1,42 @@
+"""Checks that hang or break."""
+
+from __future__ import annotations
+
+import threading
+
+from bridge.doctor.checks import CHECKS
+from bridge.doctor.examine import examine
+from bridge.doctor.finding import Check, Result, ok
+from tests.doctor.parts import around
+
+
+def test_one_that_hangs_and_one_that_breaks_leave_the_others_alone() -> None:
+    never = threading.Event()
+
+    def hang(_around: object) -> list[object]:
+        never.wait()
+        return []
+
+    def break_(_around: object) -> list[object]:
+        msg = "boom"
+        raise LookupError(msg)
+
+    checks = [
+        Check("hangs", "", hang, seconds=0.1),  # type: ignore[arg-type]
+        Check("breaks", "", break_),  # type: ignore[arg-type]
+        Check("works", "", lambda _around: [ok("fine")]),
+    ]
+    found = {report.check.id: report.findings[0] for report in examine(around(), checks)}
+    never.set()
+    assert {name: finding.result for name, finding in found.items()} == {
+        "hangs": Result.FAIL,
+        "breaks": Result.FAIL,
+        "works": Result.OK,
+    }
+    assert "hangs" in found["hangs"].seen
+    assert "boom" in found["breaks"].seen
+
+
+def test_ids_are_unique() -> None:
+    ids = [check.id for check in CHECKS]
+    assert len(set(ids)) == len(ids)

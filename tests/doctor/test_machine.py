@@ -1,0 +1,157 @@
+"""Checks of this machine: clocks, limits, shared memory, with real processes and files."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bridge.doctor import clock
+from bridge.doctor.checks import clock as clock_check
+from bridge.doctor.checks import machine, sharedmemory
+from bridge.doctor.clock import Offset
+from bridge.doctor.finding import Result
+from bridge.doctor.shmfiles import shared_files
+from tests.doctor.parts import around, hub, only, results
+from tests.support.process import Process
+from tests.support.wait import until
+
+PROC = Path("/proc")
+pytestmark = pytest.mark.skipif(not PROC.is_dir(), reason="needs Linux's /proc")
+
+
+def test_an_offset_is_measured_within_its_error() -> None:
+    measured = clock.measure(lambda: time.time_ns() + 2_000_000_000)
+    assert measured is not None
+    assert abs(measured.seconds - 2.0) <= measured.error + 1e-4
+
+
+def test_the_quickest_answer_counts() -> None:
+    answers = iter([0.05, 0.0, None, 0.05])
+
+    def ask() -> int | None:
+        wait = next(answers)
+        if wait is None:
+            return None
+        told = time.time_ns()
+        time.sleep(wait)  # an answer that takes long on its way back looks like a clock that is behind
+        return told
+
+    measured = clock.measure(ask, 4)
+    assert measured is not None
+    assert measured.error < 0.02
+    assert abs(measured.seconds) < 0.02
+    assert clock.measure(lambda: None) is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "error", "result"),
+    [(0.001, 0.001, Result.OK), (0.1, 0.2, Result.OK), (-0.1, 0.01, Result.WARN), (3.0, 0.1, Result.FAIL)],
+)
+def test_clocks(seconds: float, error: float, result: Result) -> None:
+    view = hub(clocks={"robot2/ros1": Offset(9.0, 8.0), "robot2/ros2": Offset(seconds, error)})
+    finding = only(clock_check.look(around(hub=view)))
+    assert finding.result is result
+    assert "robot2" in finding.seen
+    assert bool(finding.cure) == (result is not Result.OK)
+
+
+def test_a_worker_that_runs_out_of_descriptors() -> None:
+    program = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)); "
+        "held = [open('/dev/null') for _ in range(int(sys.argv[2]))]; print('ready', flush=True); sys.stdin.read()"
+    )
+    for count, result in ((33, Result.FAIL), (3, Result.OK)):
+        with Process([sys.executable, "-c", program, "midspan", str(count)], dict(os.environ), pipes=True) as process:
+            assert process.popen.stdout is not None
+            assert process.popen.stdout.readline() == "ready\n"
+            document = {"worker": "ros1", "side": "ros1", "pid": process.pid}
+            found = machine.look_at_descriptors(around(hub=hub(document)))
+            assert result in results(found), found
+            assert (Result.FAIL in results(found)) is (result is Result.FAIL)
+
+
+def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Path:
+    """A file as Fast DDS or zenoh leaves it, with its lock file."""
+    file = folder / name
+    file.write_bytes(b"x" * size)
+    lock = file if name.endswith(".zenoh") else folder / f"{name}_el"
+    lock.touch()
+    os.utime(file, (time.time() - age, time.time() - age))
+    return lock
+
+
+@contextmanager
+def locked(lock: Path, how: int) -> Iterator[None]:
+    """The lock as a living process has it."""
+    with lock.open("rb") as file:
+        fcntl.flock(file, how)
+        yield
+
+
+SEGMENT, OTHER_SEGMENT = "fastrtps_0123456789abcdef", "fastrtps_00000000deadbeef"
+
+
+@pytest.mark.parametrize("proc", [PROC, Path("/nowhere")])
+def test_who_holds_a_shared_file(tmp_path: Path, proc: Path) -> None:
+    names = (SEGMENT, "12345.zenoh", "fastrtps_port7410", "somebody_elses", OTHER_SEGMENT)
+    locks = {name: shm_file(tmp_path, name) for name in names}
+    shm_file(tmp_path, "99.zenoh", age=0.0)
+    with locked(locks[SEGMENT], fcntl.LOCK_EX), locked(locks["12345.zenoh"], fcntl.LOCK_SH):
+        found = {f.path.name: f for f in shared_files(tmp_path, proc)}
+    assert found.keys() == {*names, "99.zenoh"} - {"somebody_elses"}
+    assert {name for name, f in found.items() if f.held} == {SEGMENT, "12345.zenoh"}
+    assert {name for name, f in found.items() if f.young} == {"99.zenoh"}
+    assert {name for name, f in found.items() if f.port} == {"fastrtps_port7410"}
+
+
+def test_litter(tmp_path: Path) -> None:
+    place = around(shm=tmp_path, proc=PROC)
+    shm_file(tmp_path, "fastrtps_port7410", sharedmemory.LITTER_BYTES * 2)  # taken over, thus no litter
+    assert only(sharedmemory.look_at_litter(place)).result is Result.OK
+    segment = shm_file(tmp_path, SEGMENT, sharedmemory.LITTER_BYTES)
+    shm_file(tmp_path, "12345.zenoh", 4096)
+    with locked(segment, fcntl.LOCK_EX):
+        assert only(sharedmemory.look_at_litter(place)).result is Result.OK
+    finding = only(sharedmemory.look_at_litter(place))
+    assert finding.result is Result.WARN
+    assert "2 files" in finding.seen
+    assert "fastdds shm clean" in finding.cure
+    assert f"rm {tmp_path}/12345.zenoh" in finding.cure
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file to another user")
+@pytest.mark.parametrize(
+    ("transport", "result"), [("auto", Result.WARN), ("shared_memory", Result.FAIL), ("udp", Result.OK)]
+)
+def test_another_users_fast_dds(tmp_path: Path, transport: str, result: Result) -> None:
+    place = around({"ros2": {"transport": transport}}, shm=tmp_path, proc=PROC)
+    mine, theirs = shm_file(tmp_path, SEGMENT), shm_file(tmp_path, OTHER_SEGMENT)
+    os.chown(tmp_path / OTHER_SEGMENT, 65534, -1)
+    with locked(mine, fcntl.LOCK_EX):
+        assert only(sharedmemory.look_at_users(place)).result is Result.OK
+    with locked(theirs, fcntl.LOCK_EX):
+        finding = only(sharedmemory.look_at_users(place))
+    assert finding.result is result
+    assert "nobody" in finding.seen
+
+
+def test_no_room_is_said(tmp_path: Path) -> None:
+    assert only(sharedmemory.look_at_size(around(shm=tmp_path / "none"))).result is Result.SKIP
+    # a file system without any room: /sys is one
+    if Path("/sys").is_mount():
+        assert only(sharedmemory.look_at_size(around(shm=Path("/sys")))).result is Result.FAIL
+    assert str(tmp_path) in only(sharedmemory.look_at_size(around(shm=tmp_path))).seen
+
+
+def test_a_process_that_is_not_ours_is_left_alone() -> None:
+    with Process([sys.executable, "-c", "import sys; sys.stdin.read()"], dict(os.environ), pipes=True) as stranger:
+        place = around(hub=hub({"worker": "ros1", "side": "ros1", "pid": stranger.pid}))
+        until(lambda: Path(f"/proc/{stranger.pid}/cmdline").read_bytes(), "it runs")
+        assert place.process(place.hub.documents[0]) is None

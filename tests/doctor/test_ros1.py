@@ -1,0 +1,183 @@
+"""Checks of ROS 1, against a real roscore."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
+
+import pytest
+
+from bridge.doctor.around import Around
+from bridge.doctor.checks import bridges, ros1, ros1_names
+from bridge.doctor.finding import Result
+from tests.doctor.parts import around, hub, only, results
+from tests.support.ports import free_port
+from tests.support.ros1 import RosMaster, needs_ros1
+
+NOWHERE = "no-such-host.invalid"
+REMOTE = "http://192.0.2.1:11311"
+WORKER = {"worker": "ros1", "side": "ros1"}
+"""With a ros1 worker on the hub the checks do not depend on rospy being here."""
+
+
+@pytest.fixture(scope="module")
+def roscore() -> Iterator[RosMaster]:
+    with RosMaster() as master:
+        yield master
+
+
+@pytest.fixture
+def master(roscore: RosMaster) -> Iterator[RosMaster]:
+    """A roscore without what earlier tests registered."""
+    yield roscore
+    for kind, name in (("Publisher", "publishers"), ("Subscriber", "subscribers")):
+        for topic, nodes in roscore.state()[name].items():
+            for node in nodes:
+                if node != "/rosout":
+                    uri = roscore.call("lookupNode", node)
+                    _as_node(roscore, node, f"unregister{kind}", topic, uri)
+    roscore.call("deleteParam", "/midspan/nodes")
+
+
+def _as_node(master: RosMaster, node: str, method: str, *params: Any) -> None:
+    from xmlrpc.client import ServerProxy
+
+    with ServerProxy(master.uri) as proxy:
+        getattr(proxy, method)(node, *params)
+
+
+def register(master: RosMaster, node: str, uri: str) -> None:
+    _as_node(master, node, "registerPublisher", f"{node}/topic", "std_msgs/String", uri)
+
+
+@needs_ros1
+def test_a_master_that_answers(master: RosMaster) -> None:
+    place = around({"ros1": {"master": master.uri}}, hub=hub(WORKER))
+    finding = only(ros1.look_at_master(place))
+    assert (finding.result, "1 nodes" in finding.seen) == (Result.OK, True), finding
+    assert only(ros1_names.look_at_nodes(place)).result is Result.OK
+
+
+@pytest.mark.parametrize(
+    ("master", "words", "result"),
+    [
+        (f"http://{NOWHERE}:11311", f"'{NOWHERE}' does not resolve", Result.FAIL),
+        ("http://127.0.0.1:{free}", "does not answer", Result.FAIL),
+    ],
+)
+def test_a_master_that_does_not(master: str, words: str, result: Result) -> None:
+    uri = master.replace("{free}", str(free_port()))
+    place = around({"ros1": {"master": uri}}, hub=hub(WORKER))
+    finding = only(ros1.look_at_master(place))
+    assert (finding.result, words in finding.seen) == (result, True), finding
+    assert finding.cure
+    assert only(ros1_names.look_at_nodes(place)).result is Result.SKIP
+
+
+def test_nothing_to_look_at() -> None:
+    off = around({"ros1": {"enabled": False}})
+    for check in (ros1.look_at_master, ros1.look_at_environment, ros1_names.look_at_address, ros1_names.look_at_nodes):
+        assert results(check(off)) == [Result.SKIP]
+    assert results(ros1.look_at_packages(off)) == [Result.SKIP]
+
+
+def test_packages_that_are_missing(tmp_path: Path) -> None:
+    for enabled, result in ((True, Result.FAIL), ("auto", Result.WARN)):
+        place = around({"ros1": {"enabled": enabled, "packages": tmp_path}})
+        finding = only(ros1.look_at_packages(place))
+        assert (finding.result, str(tmp_path) in finding.seen) == (result, True), finding
+    assert only(ros1.look_at_master(around({"ros1": {"packages": tmp_path}}))).result is Result.SKIP
+
+
+@needs_ros1
+def test_nodes_that_cannot_be_reached(master: RosMaster) -> None:
+    dead = free_port()
+    register(master, "/lost", f"http://{NOWHERE}:4711/")
+    register(master, "/lost_too", f"http://{NOWHERE}:4712/")
+    register(master, "/dead", f"http://127.0.0.1:{dead}/")
+    found = ros1_names.look_at_nodes(around({"ros1": {"master": master.uri}}, hub=hub(WORKER)))
+    lost = next(f for f in found if f.result is Result.FAIL)
+    assert "/lost, /lost_too: " in lost.seen
+    assert "/etc/hosts" in lost.cure
+    gone = next(f for f in found if f.result is Result.WARN)
+    assert gone.seen.startswith("/dead: ")
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("environ", "config", "result"),
+    [
+        ({}, {}, Result.OK),
+        ({"ROS_IP": "127.0.0.1"}, {}, Result.OK),
+        ({"ROS_HOSTNAME": "localhost"}, {}, Result.OK),
+        ({"ROS_IP": "203.0.113.7"}, {}, Result.FAIL),
+        ({"ROS_HOSTNAME": NOWHERE}, {}, Result.FAIL),
+        ({"ROS_IP": "203.0.113.7"}, {"ip": "127.0.0.1"}, Result.OK),
+        ({}, {"hostname": NOWHERE}, Result.FAIL),
+        ({"ROS_IP": "127.0.0.1", "ROS_MASTER_URI": REMOTE}, {}, Result.FAIL),
+        ({"ROS_HOSTNAME": "localhost", "ROS_MASTER_URI": REMOTE}, {}, Result.FAIL),
+    ],
+)
+def test_the_address_that_peers_are_given(environ: dict[str, str], config: dict[str, str], result: Result) -> None:
+    finding = only(ros1_names.look_at_address(around({"ros1": config}, environ, hub=hub(WORKER))))
+    assert (finding.result, bool(finding.cure)) == (result, result is Result.FAIL), finding
+
+
+@needs_ros1
+def test_another_master_than_the_daemons(master: RosMaster) -> None:
+    shell = {"ROS_MASTER_URI": master.uri}
+    run_id = master.call("getParam", "/run_id")
+    for network, result in ((run_id, Result.OK), ("another run id", Result.FAIL)):
+        place = around(environ=shell, hub=hub({**WORKER, "network": network}))
+        assert only(ros1.look_at_environment(place)).result is result
+    place = around({"ros1": {"master": "http://other:11311"}}, shell, hub=hub(WORKER))
+    finding = only(ros1.look_at_environment(place))
+    assert (finding.result, "http://other:11311" in finding.seen) == (Result.WARN, True)
+    same = around(
+        {"ros1": {"master": master.uri.rstrip("/").replace("127.0.0.1", "localhost")}}, shell, hub=hub(WORKER)
+    )
+    assert only(ros1.look_at_environment(same)).result is Result.OK
+
+
+class _Http(SimpleXMLRPCRequestHandler):
+    def log_message(self, *_args: Any) -> None:
+        pass
+
+
+@pytest.fixture
+def living() -> Iterator[str]:
+    """A node that answers getPid with 4711, as a Midspan elsewhere would."""
+    server = SimpleXMLRPCServer(("127.0.0.1", 0), _Http)
+    server.register_function(lambda _caller: (1, "", 4711), "getPid")
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}/"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@needs_ros1
+def test_other_bridges_on_the_master(master: RosMaster, living: str, tmp_path: Path) -> None:
+    config = {"ros1": {"master": master.uri}, "ros2": {"enabled": False}, "state": tmp_path}
+
+    def place() -> Around:
+        return around(config, hub=hub({**WORKER, "pid": 99}))
+
+    assert Result.WARN not in results(bridges.look(place()))
+
+    entry = {"owner": "x", "daemon": "robot2", "node": "/midspan", "uri": living, "pid": 4711}
+    dead = {**entry, "node": "/midspan_dead", "uri": f"http://127.0.0.1:{free_port()}/"}
+    own = {**entry, "node": "/midspan_own", "daemon": "robot1", "pid": 99}
+    for name, value in (("other", entry), ("dead", dead), ("own", own)):
+        master.call("setParam", f"/midspan/nodes/{name}", value)
+    register(master, "/ros_bridge", living)
+    found = bridges.look(place())
+    words = {f.seen: f.result for f in found if f.result is not Result.SKIP}
+    assert sorted(words.values()) == [Result.FAIL, Result.WARN, Result.WARN], words
+    assert any("/ros_bridge looks like another bridge" in seen for seen in words)
+    assert any("daemon robot2 is on this master too (/midspan at" in seen for seen in words)
+    assert any("/midspan_dead of Midspan daemon robot2 is dead" in seen for seen in words)

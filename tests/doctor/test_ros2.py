@@ -1,0 +1,103 @@
+"""Checks of ROS 2's settings, and of bridges on a real DDS network."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.daemon.workers import worker_kinds
+from bridge.doctor import dds
+from bridge.doctor.checks import bridges, ros2
+from bridge.doctor.finding import Result
+from tests.doctor.parts import around, hub, only, results
+from tests.support.peer import Peer
+from tests.support.process import Process
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no rclpy here")
+
+OTHER_MIDSPAN = """
+import json, pathlib, sys, threading
+from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.process import use_profile
+from bridge.config.model import Config
+profile = use_profile(Config(), pathlib.Path(sys.argv[1]))
+participant = Participant("midspan", int(sys.argv[2]))
+print(profile.prefix.hex(), flush=True)
+sys.stdin.read()
+participant.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("environ", "config", "result", "words"),
+    [
+        ({}, {}, Result.OK, "domain 0"),
+        ({"ROS_DOMAIN_ID": "7"}, {}, Result.OK, "domain 7"),
+        ({"ROS_DOMAIN_ID": "7"}, {"domain": 8}, Result.WARN, "export ROS_DOMAIN_ID=8"),
+        ({}, {"domain": 8}, Result.WARN, "export ROS_DOMAIN_ID=8"),
+        ({"ROS_DOMAIN_ID": "seven"}, {}, Result.FAIL, "not a number"),
+        ({"ROS_DOMAIN_ID": "233"}, {}, Result.FAIL, "not a number"),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}, {}, Result.FAIL, "find nobody"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, {"localhost_only": False}, Result.WARN, "on this machine only"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, {}, Result.OK, ""),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml"}, {}, Result.WARN, "/nowhere.xml"),
+        ({"ROS_DOMAIN_ID": "x"}, {"enabled": False}, Result.SKIP, ""),
+    ],
+)
+def test_environment(environ: dict[str, str], config: dict[str, object], result: Result, words: str) -> None:
+    finding = only(ros2.look_at_environment(around({"ros2": config}, environ)))
+    assert finding.result is result
+    assert words in f"{finding.seen} {finding.cure}"
+
+
+def test_the_running_daemon_has_another_domain() -> None:
+    env = {**os.environ, "ROS_DOMAIN_ID": "23"}
+    with Process([sys.executable, "-c", "import sys; sys.stdin.read()", "midspan"], env, pipes=True) as worker:
+        until(lambda: Path(f"/proc/{worker.pid}/cmdline").read_bytes().count(b"midspan"), "it runs")
+        view = hub({"worker": "ros2", "side": "ros2", "pid": worker.pid})
+        finding = only(ros2.look_at_environment(around(environ={"ROS_DOMAIN_ID": "5"}, hub=view)))
+    assert finding.result is Result.WARN
+    assert "the running daemon uses 23" in finding.seen
+
+
+@pytest.mark.parametrize(
+    ("rmw", "result"),
+    [
+        ("", Result.OK),
+        ("rmw_fastrtps_cpp", Result.OK),
+        ("rmw_zenoh_cpp", Result.WARN),
+        ("rmw_cyclonedds_cpp", Result.WARN),
+        ("rmw_typo_cpp", Result.FAIL),
+    ],
+)
+def test_rmw(rmw: str, result: Result) -> None:
+    assert only(ros2.look_at_rmw(around(environ={"RMW_IMPLEMENTATION": rmw}))).result is result
+
+
+@needs_ros2
+def test_other_bridges_on_dds(tmp_path: Path) -> None:
+    domain = ros2_domain()
+    config = Config.model_validate({"ros2": {"domain": domain}})
+    env = worker_kinds({})["ros2"].child_environment(config)
+    command = [sys.executable, "-c", OTHER_MIDSPAN, str(tmp_path), str(domain)]
+    with (
+        Process(command, env, pipes=True) as other,
+        Peer(ROS2_PEER, ros2_python(), ros2_environment(), "ros_bridge") as peer,
+    ):
+        assert other.popen.stdout is not None
+        prefix = other.popen.stdout.readline().strip()
+        peer.advertise("/chatter", "std_msgs/String")
+        view = dds.look(config, os.environ)
+    assert view.midspans == {prefix}
+    assert "/ros_bridge" in view.nodes
+    found = bridges.of_dds(around(), view)
+    assert sorted(results(found)) == [Result.FAIL, Result.WARN], found
+    ours = hub({"worker": "ros2", "side": "ros2", "network": prefix})
+    assert results(bridges.of_dds(around(hub=ours), view)) == [Result.FAIL]
