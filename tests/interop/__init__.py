@@ -1,0 +1,1 @@
+"""The whole daemon between real ROS 1, ROS 2 and zenoh programs."""

@@ -1,0 +1,182 @@
+"""A deployment of a test's own: roscore, ROS 2 domain, hub port, state folder, and the real daemon."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+from bridge.hub.session import Hub, HubSettings
+from bridge.interfaces.builder import build
+from bridge.interfaces.folders import read_folders
+from bridge.interfaces.paths import environment
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
+from tests.support.hub import SDK_PROGRAM
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import RosMaster
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
+
+
+class Deployment:
+    """Everything on one machine, started by `midspan run` as a user would."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.master = RosMaster()
+        self.port = free_port()
+        self.file = folder / "midspan.yaml"
+        self.daemon: Process | None = None
+        self._open: list[Any] = []
+        self._names = 0
+        self._watch: Hub | None = None
+        self._registry = Registry(folders=[CUSTOM_FOLDER])
+
+    def configure(self, **sections: Any) -> None:
+        """Write the configuration file."""
+        config = {
+            "name": "interop",
+            "state": str(self.folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{self.port}"},
+            "ros1": {"master": self.master.uri, "poll": 0.1},
+            "ros2": {"domain": ros2_domain()},
+            "types": {"folders": [str(CUSTOM_FOLDER)]},
+            **sections,
+        }
+        self.file.write_text(yaml.safe_dump(config))
+
+    def start(self, **sections: Any) -> None:
+        """Start roscore and the daemon; returns when both workers have joined."""
+        self.master.start()
+        self.configure(**sections)
+        self.run()
+
+    def run(self) -> None:
+        """Start the daemon; returns when both workers have joined."""
+        self.daemon = Process([*MIDSPAN, "run", "--config", self.file], dict(os.environ))
+        until(self._joined, "both workers have joined", 40, every=0.2)
+
+    def _joined(self) -> bool:
+        assert self.daemon is not None
+        assert self.daemon.popen.poll() is None, self.daemon.output()
+        return all(self.worker(side).get("state") == "running" for side in ("ros1", "ros2"))
+
+    def command(self, *args: str, seconds: float = 20) -> subprocess.CompletedProcess[str]:
+        """Run one ``midspan`` command."""
+        return subprocess.run(
+            [*MIDSPAN, *args, "--config", str(self.file)], capture_output=True, text=True, timeout=seconds, check=False
+        )
+
+    def status(self) -> list[dict[str, Any]]:
+        """What the workers tell of themselves."""
+        if self._watch is None:
+            self._watch = Hub.open(
+                HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", daemon="w", worker="w")
+            )
+            self._open.append(_Closer(self._watch))
+        return [a.value for a in self._watch.ask("status", {}, timeout=1.0) if isinstance(a.value, dict)]
+
+    def explain(self, topic: str) -> list[dict[str, Any]]:
+        """What the workers decided of a topic."""
+        assert self._watch is not None
+        answers = self._watch.ask("explain", {"topic": topic}, timeout=1.0)
+        return [line for a in answers if isinstance(a.value, list) for line in a.value]
+
+    def worker(self, side: str) -> dict[str, Any]:
+        """One worker's status."""
+        return next((d for d in self.status() if d.get("side") == side), {})
+
+    def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
+        """One route of one worker."""
+        routes = self.worker(side).get("routes", [])
+        return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
+
+    def ros1(self, name: str = "") -> Peer:
+        """A real rospy program."""
+        peer = self.master.peer(name or self._name("ros1"))
+        self._open.append(peer)
+        for type_ in CUSTOM_TYPES:
+            peer.ask("define", type=type_, definition=self._registry.ros1(type_).definition)
+        return peer
+
+    def ros2(self, name: str = "") -> Peer:
+        """A real rclpy program."""
+        env = {**ros2_environment(), **environment([build(read_folders([CUSTOM_FOLDER]))])}
+        peer = Peer(ROS2_PEER, ros2_python(), env, name or self._name("ros2"))
+        self._open.append(peer)
+        return peer
+
+    def zenoh(self) -> HubSide:
+        """A native program of the hub, by our own session."""
+        settings = HubSettings(
+            router=f"tcp/127.0.0.1:{self.port}", node=self._name("zenoh"), daemon="far", worker="far"
+        )
+        hub = Hub.open(settings)
+        self._open.append(_Closer(hub))
+        return HubSide(hub, self._registry)
+
+    def sdk(self) -> Peer:
+        """A zenoh-ros2-sdk program, independent of our code."""
+        env = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "HOME": "/nonexistent"}
+        peer = Peer(SDK_PROGRAM, Path(sys.executable), env, str(self.port), "0")
+        self._open.append(peer)
+        return peer
+
+    def _hub_settings(self, node: str) -> HubSettings:
+        return HubSettings(router=f"tcp/127.0.0.1:{self.port}", node=node, daemon="far", worker=node)
+
+    def _name(self, side: str) -> str:
+        self._names += 1
+        return f"{side}_program_{self._names}"
+
+    def until_route(self, side: str, topic: str, direction: str, **values: Any) -> dict[str, Any]:
+        """Wait for a route with these values."""
+
+        def found() -> dict[str, Any] | None:
+            route = self.route(side, topic, direction)
+            return route if route and all(route[k] == v for k, v in values.items()) else None
+
+        return until(found, f"{side} routes {topic} {direction} with {values}", 60, every=0.1)  # type: ignore[return-value]
+
+    def hang_up(self) -> None:
+        """Tell the daemon to reload."""
+        assert self.daemon is not None
+        os.kill(self.daemon.pid, signal.SIGHUP)
+
+    def stop_daemon(self) -> int:
+        """SIGTERM; the exit code."""
+        assert self.daemon is not None
+        daemon, self.daemon = self.daemon, None
+        return daemon.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        for thing in reversed(self._open):
+            thing.stop()
+        if self.daemon is not None:
+            if kind is not None:
+                print(self.daemon.output()[-8000:])
+            self.daemon.stop()
+        self.master.close()
+
+
+class _Closer:
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+
+    def stop(self) -> None:
+        self._hub.close()

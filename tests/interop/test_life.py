@@ -1,0 +1,112 @@
+"""The daemon's life: reload, restart of its parts, clean stop, what a stopped worker must not replay."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+from tests.interop.deployment import Deployment
+from tests.interop.test_topics import cross
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+TWIST = "geometry_msgs/Twist"
+
+
+def test_hangup_with_a_good_and_with_a_broken_file(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    heard = ros2.subscribe("/kept", STRING)
+    out = ros1.advertise("/kept", STRING)
+    ros1.advertise("/closed", STRING)
+    cross(ros1, out, ros2, heard, {"data": "before"})
+    running.until_route("ros1", "/closed", "in")
+    pid = running.worker("ros1")["pid"]
+
+    running.configure(routing={"rules": [{"topic": "/closed", "deny": True}]})
+    running.hang_up()
+    until(lambda: running.route("ros1", "/closed", "in") is None, "the denied route closes", 20, every=0.1)
+
+    running.file.write_text("routing:\n  ruels: []\n")
+    running.hang_up()
+    assert running.daemon is not None
+    daemon = running.daemon
+    until(
+        lambda: "rules" in daemon.output() and "midspan.yaml:2" in daemon.output(), "the error names line and cure", 20
+    )
+    count = len(ros2.wait(heard, 1))
+    ros1.publish(out, {"data": "after"})
+    assert ros2.wait(heard, count + 1)[-1] == {"data": "after"}
+    assert running.worker("ros1")["pid"] == pid
+    assert running.route("ros1", "/closed", "in") is None
+
+
+def test_a_clean_stop_leaves_nothing_on_the_master(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    ros1.advertise("/mine", STRING, latched=True)
+    ros2.advertise("/theirs", STRING, latched=True)
+    running.until_route("ros2", "/mine", "out")
+    running.until_route("ros1", "/theirs", "out")
+    assert any("midspan" in node for node in running.master.nodes())
+    assert running.stop_daemon() == 0
+    assert not any("midspan" in node for node in running.master.nodes())
+    assert not any("midspan" in name for name in running.master.parameters())
+
+
+def test_a_killed_worker_comes_back_and_its_routes_with_it(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    heard = ros2.subscribe("/again", STRING)
+    out = ros1.advertise("/again", STRING)
+    cross(ros1, out, ros2, heard, {"data": "first"})
+    for side in ("ros1", "ros2"):
+        pid = running.worker(side)["pid"]
+        os.kill(pid, signal.SIGKILL)
+        until(lambda s=side, p=pid: running.worker(s).get("pid", p) != p, f"a new {side} worker", 30, every=0.2)
+        before = len(ros2.wait(heard, 0, 0))
+
+        def once(before: int = before) -> bool:
+            ros1.publish(out, {"data": "again"})
+            return len(ros2.wait(heard, before + 1, 0.2)) > before
+
+        until(once, f"crosses after the {side} worker's death", 30)
+
+
+def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    heard = ros1.subscribe("/cmd_vel", TWIST)
+    out = ros2.advertise("/cmd_vel", TWIST, depth=100)
+    cross(ros2, out, ros1, heard, twist(0.1))
+    for side in ("ros2", "ros1"):
+        pid = running.worker(side)["pid"]
+        before = len(ros1.wait(heard, 0, 0))
+        os.kill(pid, signal.SIGSTOP)
+        for _ in range(10):
+            ros2.publish(out, twist(9.0))
+        # The commands must have grown old when the worker goes on.
+        assert len(ros1.wait(heard, before + 1, 1.5)) == before
+        os.kill(pid, signal.SIGCONT)
+
+        def fresh(before: int = before) -> bool:
+            ros2.publish(out, twist(0.2))
+            return any(m["linear"]["x"] == 0.2 for m in ros1.wait(heard, 0, 0)[before:])
+
+        until(fresh, f"fresh commands cross after {side} goes on", 20)
+        assert not [m for m in ros1.wait(heard, 0, 0)[before:] if m["linear"]["x"] == 9.0], side
+
+
+def test_a_roscore_restart_is_survived(running: Deployment) -> None:
+    ros2 = running.ros2()
+    out = ros2.advertise("/from_ros2", STRING)
+    running.until_route("ros1", "/from_ros2", "out")
+    running.master.stop()
+    running.master.start()
+    ros1 = running.ros1()
+    heard = ros1.subscribe("/from_ros2", STRING)
+    assert cross(ros2, out, ros1, heard, {"data": "back"}) == {"data": "back"}
+    out = ros1.advertise("/from_ros1", STRING)
+    heard = ros2.subscribe("/from_ros1", STRING)
+    assert cross(ros1, out, ros2, heard, {"data": "back too"}) == {"data": "back too"}
+
+
+def twist(x: float) -> dict:
+    """A forward speed."""
+    return {"linear": {"x": x, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}

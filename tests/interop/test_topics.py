@@ -1,0 +1,130 @@
+"""Topics of real programs cross every way."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from tests.interop.deployment import Deployment
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+
+
+def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict) -> dict:
+    """Publish until it is heard; what was heard first."""
+
+    def once() -> list[dict]:
+        sender.publish(out, message)
+        return hearer.wait(heard, 1, 0.2)
+
+    first: dict = until(once, "a message crosses", 30)[0]
+    return first
+
+
+def test_every_way_between_ros1_ros2_and_zenoh(running: Deployment) -> None:
+    programs = {"ros1": running.ros1(), "ros2": running.ros2(), "sdk": running.sdk()}
+    for (from_, sender), (to, hearer) in itertools.permutations(programs.items(), 2):
+        topic = f"/{from_}_to_{to}"
+        heard = hearer.subscribe(topic, STRING)
+        out = sender.advertise(topic, STRING)
+        assert cross(sender, out, hearer, heard, {"data": topic}) == {"data": topic}
+
+
+def test_no_loop_whatever_the_nodes_are_called(running: Deployment) -> None:
+    """All three publish and listen on one topic; the names of the bridge's own nodes are taken by users' nodes."""
+    ros1, ros2, zenoh = running.ros1("midspan_ros2"), running.ros2("midspan"), running.zenoh()
+    programs: dict[str, Any] = {"ros1": ros1, "ros2": ros2, "zenoh": zenoh}
+    heard = {name: program.subscribe("/all", STRING, depth=200) for name, program in programs.items()}
+    out = {name: program.advertise("/all", STRING, depth=200) for name, program in programs.items()}
+    for sender, hearer in itertools.permutations(programs, 2):
+        probe = {"data": f"probe {sender} to {hearer}"}
+        _until_has(programs[sender], out[sender], programs[hearer], heard[hearer], probe)
+    for number in range(20):
+        for name, program in programs.items():
+            program.publish(out[name], {"data": f"{name} {number}"})
+    for name, program in programs.items():
+        program.publish(out[name], {"data": f"{name} end"})
+    for name, program in programs.items():
+        own_come_back = name != "zenoh"  # our own hub session does not hear itself, rospy and rclpy do
+        expected = {f"{n} {i}" for n in programs if n != name or own_come_back for i in [*range(20), "end"]}
+        until(lambda p=program, h=heard[name], e=expected: e <= _texts(p, h), f"{name} heard everything", 20)
+        counted = [m["data"] for m in program.wait(heard[name], 10_000, 0.5) if not m["data"].startswith("probe")]
+        assert sorted(counted) == sorted(expected), name
+
+
+def test_custom_types_between_ros1_and_ros2(running: Deployment) -> None:
+    thing = {
+        "header": {"frame_id": "map"},
+        "number": 513,
+        "parts": [{"name": "wheel", "size": [0.5, 1.5, 2.5]}],
+        "words": ["a", "", "ccc"],
+        "done": True,
+    }
+    ros1, ros2 = running.ros1(), running.ros2()
+    for sender, hearer, topic in ((ros1, ros2, "/things_a"), (ros2, ros1, "/things_b")):
+        heard = hearer.subscribe(topic, "contract_msgs/Thing")
+        out = sender.advertise(topic, "contract_msgs/Thing")
+        got = cross(sender, out, hearer, heard, thing)
+        got["header"] = {"frame_id": got["header"]["frame_id"]}
+        assert got == thing
+
+
+def test_a_type_that_only_a_connection_header_tells(running: Deployment) -> None:
+    """No package, no folder: the definition comes from rospy's connection header, the ROS 2 package is built."""
+    ros1, far = running.ros1(), running.zenoh()
+    point = "=" * 80 + "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
+    text = "string name\nint16[] blob\ngeometry_msgs/Point at\n" + point
+    ros1.ask("define", type="header_only_msgs/Marked", definition=text)
+    out = ros1.advertise("/marked", "header_only_msgs/Marked", latched=True)
+    message = {"name": "x", "blob": [1, 2, 255], "at": {"x": 1.0, "y": 2.0, "z": 3.0}}
+    ros1.publish(out, message)
+    running.until_route("ros1", "/marked", "in", messages=1)
+    running.until_route("ros2", "/marked", "out", messages=1)
+    far.registry.learn_ros2(
+        "header_only_msgs/msg/Marked", text.replace("MSG: geometry_msgs/Point", "MSG: geometry_msgs/msg/Point")
+    )
+    heard = far.subscribe("/marked", "header_only_msgs/Marked", latched=True)
+    assert far.wait(heard, 1) == [message]
+
+
+def test_a_best_effort_sensor_is_heard(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    heard = ros1.subscribe("/sensor", STRING)
+    out = ros2.advertise("/sensor", STRING, best_effort=True)
+    assert cross(ros2, out, ros1, heard, {"data": "measured"}) == {"data": "measured"}
+
+
+def test_incompatible_qos_is_reported(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    ros1.advertise("/volatile", STRING)
+    ros2.subscribe("/volatile", STRING, latched=True)
+    running.until_route("ros2", "/volatile", "out")
+    named = lambda: [w for w in running.worker("ros2")["warnings"] if "/volatile" in w]  # noqa: E731
+    until(named, "the mismatch is named", 20, every=0.2)
+
+
+def test_diagnostics_on_both_ros_sides(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    ros1.advertise("/watched", STRING)
+    running.until_route("ros2", "/watched", "out")
+    for program, side in ((ros1, "ros1"), (ros2, "ros2")):
+        heard = program.subscribe("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+
+        def named(program: Any = program, heard: int = heard) -> bool:
+            last = program.wait(heard, 1, 1.0)[-1:]
+            return any("/watched" in status["name"] for m in last for status in m["status"])
+
+        until(named, f"diagnostics of {side} name the route", 20)
+
+
+def _texts(program: Any, heard: int) -> set[str]:
+    return {m["data"] for m in program.wait(heard, 10_000, 0.1)}
+
+
+def _until_has(sender: Any, out: int, hearer: Any, heard: int, probe: dict) -> None:
+    def once() -> bool:
+        sender.publish(out, probe)
+        return probe["data"] in _texts(hearer, heard)
+
+    until(once, probe["data"], 30)
