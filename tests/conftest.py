@@ -1,0 +1,59 @@
+"""The run fails when a test leaves a process or a thread behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+import uuid
+
+import psutil
+import pytest
+
+_MARK = "MIDSPAN_TEST_RUN"
+_run = uuid.uuid4().hex
+_started_by: dict[object, str] = {}
+
+
+def _processes() -> dict[object, str]:
+    """Processes that this run started, its children's orphans among them."""
+    found: dict[object, str] = {}
+    own = psutil.Process()
+    for process in [*own.children(recursive=True), *psutil.process_iter()]:
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.pid == own.pid or process.status() == psutil.STATUS_ZOMBIE:
+                continue
+            if process in found or own in process.parents() or process.environ().get(_MARK) == _run:
+                found[process] = f"process {process.pid}: {' '.join(process.cmdline())[:200]}"
+    return found
+
+
+def _threads() -> dict[object, str]:
+    return {t: f"thread {t.name}" for t in threading.enumerate() if t is not threading.main_thread()}
+
+
+def pytest_sessionstart() -> None:
+    os.environ[_MARK] = _run
+
+
+def pytest_runtest_logfinish(nodeid: str) -> None:
+    """Remember which test a thread showed up in; processes are too costly to list after each test."""
+    for thing in _threads():
+        _started_by.setdefault(thing, nodeid)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    end = time.monotonic() + 5
+    while (left := {**_processes(), **_threads()}) and time.monotonic() < end:
+        time.sleep(0.05)
+    for thing, name in left.items():
+        reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+        if reporter is not None:
+            reporter.write_line(f"LEFT BEHIND: {name} (first seen after {_started_by.get(thing, 'an unknown test')})")
+        if isinstance(thing, psutil.Process):
+            with contextlib.suppress(psutil.Error):
+                thing.kill()
+    if left:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
