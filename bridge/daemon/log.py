@@ -97,6 +97,18 @@ class RelayHandler(logging.Handler):
         finally:
             self.release()
 
+    def close(self) -> None:
+        """The process ends: what nobody took goes to stderr, which the daemon reads as last words."""
+        self.flush()
+        self.acquire()
+        try:
+            for level, text in self._lines:
+                sys.stderr.write(f"<{priority(level)}>{text}\n")
+            self._lines.clear()
+        finally:
+            self.release()
+        super().close()
+
     def emit(self, record: logging.LogRecord) -> None:
         """Keep the record's lines and hand them on."""
         for line in self.format(record).split("\n"):

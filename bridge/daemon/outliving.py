@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bridge.config.model import Config
-from bridge.daemon import state
+from bridge.daemon import log, state
 from bridge.daemon.link import Exit, Link, LinkListener, kill_group, read_some
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop
@@ -114,7 +114,7 @@ class OutlivingLink(Link):
         with contextlib.suppress(OSError), self._output.open("rb") as output:
             output.seek(max(0, output.seek(0, os.SEEK_END) - _LAST_WORDS))
             for line in output.read().decode(errors="replace").splitlines():
-                self._listener.on_report(Log(30, line))
+                self._listener.on_report(Log(*log.split_priority(line)))
 
     def kill(self, number: signal.Signals) -> None:
         """Send a signal."""

@@ -37,7 +37,7 @@ class DaemonPipe:
     def first_config(self) -> NewConfig | None:
         """The configuration to start with; None where the daemon went, or told to stop, before it sent one."""
         while True:
-            while self._waiting:
+            if self._waiting:
                 command = decode_command(self._waiting.pop(0))
                 return command if isinstance(command, NewConfig) else None
             data = os.read(self._input, _READ_SIZE)

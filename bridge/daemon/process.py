@@ -47,13 +47,13 @@ class Process:
         if not self._control:
             log.setup(config, self._kind.name, log.Style.SUPERVISED)
             pipe.read_to(self._commands, stop_at_end=True)
-            return self._run(config, pipe.report)
+            return self._run(config, pipe.report) or 0
         relay = log.RelayHandler()
         log.setup(config, self._kind.name, log.Style.SUPERVISED, relay)
         server = self._open_control(config, "daemon", self._commands.put)
         relay.relay_to(server.relay)
         try:
-            return self._run(config, server.report)
+            return self._run(config, server.report) or 0
         finally:
             server.close()
 
@@ -81,9 +81,8 @@ class Process:
                     notifier.ready()
                     ready = True
 
-        child = Child(self._kind.create(), self._commands, report, load=load, end_for_restart=True)
         try:
-            return self._code(child, config)
+            return self._run(config, report, load)
         finally:
             notifier.stopping()
             notifier.close()
@@ -96,13 +95,12 @@ class Process:
         """A service has its own file: a daemon's new configuration means to load that again."""
         self._commands.put(Hangup() if isinstance(command, NewConfig) else command)
 
-    def _run(self, config: Config, report: Callable[[Report], None]) -> int:
-        child = Child(self._kind.create(), self._commands, report)
-        code = self._code(child, config)
-        return 0 if code is None else code
-
-    def _code(self, child: Child, config: Config) -> int | None:
+    def _run(
+        self, config: Config, report: Callable[[Report], None], load: Callable[[], Config] | None = None
+    ) -> int | None:
         try:
+            worker = self._kind.create()
+            child = Child(worker, self._commands, report, load=load, end_for_restart=load is not None)
             outcome = child.run(config)
         except Exception:
             logger.exception("%s failed", self._kind.name)

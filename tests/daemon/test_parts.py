@@ -128,7 +128,7 @@ def test_every_line_of_a_record_carries_priority_and_name() -> None:
     assert log.LineFormatter(log.Style.JOURNAL, "midspan").format(record) == "<3>ros1: one\n<3>ros1: two"
 
 
-def test_relayed_lines_wait_bounded_until_somebody_takes_them() -> None:
+def test_relayed_lines_wait_bounded_until_somebody_takes_them(capsys: pytest.CaptureFixture[str]) -> None:
     handler = log.RelayHandler()
     for number in range(log.KEPT_LINES + 5):
         handler.handle(logging.LogRecord("x", logging.INFO, "", 0, f"line {number}", None, None))
@@ -142,6 +142,11 @@ def test_relayed_lines_wait_bounded_until_somebody_takes_them() -> None:
     handler.relay_to(take)
     handler.flush()
     assert taken == ["line 5", "line 6", "line 7"]
+    handler.relay_to(lambda _level, _text: False)
+    handler.close()
+    last_words = capsys.readouterr().err.splitlines()
+    assert last_words[0] == "<6>line 7"  # it was refused, and so is still to be told
+    assert last_words[-1] == f"<6>line {log.KEPT_LINES + 4}"
 
 
 def test_lock_lives_with_whoever_has_its_descriptor(tmp_path: Path) -> None:
