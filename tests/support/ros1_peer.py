@@ -9,9 +9,9 @@ Usage: ros1_peer.py NODE
 """
 # ruff: noqa: A002, ANN003, ANN204  # parameters are the commands' own words; it runs without Midspan
 
-import base64
 import json
 import os
+import signal
 import sys
 import threading
 
@@ -159,7 +159,16 @@ class Peer:
 def main():
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what rospy prints is not an answer
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rospy.init_node(sys.argv[1], disable_signals=True)
+    try:
+        serve(answers)
+    finally:
+        rospy.signal_shutdown("end of the test")
+
+
+def serve(answers):
+    """Carry out commands until there are no more."""
     peer = Peer()
     for line in sys.stdin:
         command = json.loads(line)
@@ -168,10 +177,9 @@ def main():
             answer = {"ok": True, **getattr(peer, "do_" + name)(**command)}
         except Exception as err:
             answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        answers.write(json.dumps(answer, default=lambda b: base64.b64encode(b).decode()) + "\n")
+        answers.write(json.dumps(answer) + "\n")
         if name == "exit":
             break
-    rospy.signal_shutdown("end of the test")
 
 
 main()

@@ -79,8 +79,9 @@ class Ros1Edge(Edge):
         self._listener = listener
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
-        self._node = Node(name, uri, self._wake_master, listener.edge_failed)
-        self._master = Master(uri, self._node, self._config.name, self._ledger, self._config.ros1.poll, self._seen)
+        self._node = Node(name, uri, self._wake_master, self._asked_to_stop)
+        period, daemon = self._config.ros1.poll, self._config.name
+        self._master = Master(uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed)
         self._master.start()
 
     def stop(self) -> None:
@@ -101,6 +102,11 @@ class Ros1Edge(Edge):
 
     def _caller(self) -> str:
         return self._node.name if self._node is not None else "/midspan"
+
+    def _asked_to_stop(self, reason: str) -> None:
+        if self._master is not None and self._listener is not None:
+            self._master.evicted()
+            self._listener.edge_failed(reason)
 
     def _wake_master(self) -> None:
         if self._master is not None:

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 from bridge.adapters.ros1.rpc import RpcClient
 
+_TRIES = 3
+
 PRESENCE = "/midspan/nodes"
 """Master parameter under which every Midspan node says that it is there."""
 
@@ -60,15 +62,17 @@ class Looker:
 
     def look(self) -> Look:
         """The master's state now; the very same object as the last time where nothing changed."""
-        answers = self._ask()
-        if answers is self._answers and self._look is not None:
-            return self._look
-        nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
-        if nodes != self._nodes:
-            self._nodes = nodes
+        for _ in range(_TRIES):
+            asked = self._nodes
             answers = self._ask()
-        self._answers = answers
-        self._look = self._read(answers)
+            if answers is self._answers and self._look is not None:
+                return self._look
+            self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
+            if self._nodes == asked:
+                break
+        # Where nodes came while their addresses were asked for, the next look asks again.
+        self._answers = answers if self._nodes == asked else []
+        self._look = _read(answers, asked)
         return self._look
 
     def _ask(self) -> list[Any]:
@@ -79,21 +83,22 @@ class Looker:
             *(("lookupNode", (me, node)) for node in self._nodes),
         ])  # fmt: skip
 
-    def _read(self, answers: list[Any]) -> Look:
-        types, run_id, presence, pid, uri = answers[1:6]
-        uris = {n: u for n, u in zip(self._nodes, answers[6:], strict=True) if isinstance(u, str)}
-        publishers, subscribers, services = _state(answers)
-        network = run_id if isinstance(run_id, str) and run_id else f"{uri}#{pid}"
-        return Look(
-            run=f"{network}#{pid}",
-            network=network,
-            publishers=_links(publishers, uris),
-            subscribers=_links(subscribers, uris),
-            services={name: nodes[0] for name, nodes in services if nodes},
-            types={str(name): str(type_) for name, type_ in types or ()},
-            uris=uris,
-            presence={k: v for k, v in presence.items() if isinstance(v, dict)} if isinstance(presence, dict) else {},
-        )
+
+def _read(answers: list[Any], nodes: tuple[str, ...]) -> Look:
+    types, run_id, presence, pid, uri = answers[1:6]
+    uris = {n: u for n, u in zip(nodes, answers[6:], strict=True) if isinstance(u, str)}
+    publishers, subscribers, services = _state(answers)
+    network = run_id if isinstance(run_id, str) and run_id else f"{uri}#{pid}"
+    return Look(
+        run=f"{network}#{pid}",
+        network=network,
+        publishers=_links(publishers, uris),
+        subscribers=_links(subscribers, uris),
+        services={name: nodes[0] for name, nodes in services if nodes},
+        types={str(name): str(type_) for name, type_ in types or ()},
+        uris=uris,
+        presence={k: v for k, v in presence.items() if isinstance(v, dict)} if isinstance(presence, dict) else {},
+    )
 
 
 _State = tuple[list[tuple[str, list[str]]], ...]

@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import logging
-import queue
 import threading
+from collections import deque
 from collections.abc import Callable
 
 _log = logging.getLogger(__name__)
+
+_IDLE_SECONDS = 10.0
 
 Job = Callable[[], None]
 
 
 class Lanes:
-    """Two groups of threads: one for addresses that answered or were not yet asked, one for those that failed lately.
+    """Two lanes of threads: one for addresses that answered or were not yet asked, one for those that failed lately.
 
-    A job of an address that failed waits in the second lane, so a hundred dead nodes keep only each other waiting.
+    A job whose address has failed since it was queued changes lanes, so dead nodes keep only each other waiting.
     """
 
-    def __init__(self, fresh: int = 12, doubtful: int = 4) -> None:
-        self._queues: tuple[queue.SimpleQueue[Job | None], ...] = (queue.SimpleQueue(), queue.SimpleQueue())
-        self._counts = (fresh, doubtful)
-        self._threads: list[threading.Thread] = []
+    def __init__(self, fresh: int = 48, doubtful: int = 4) -> None:
+        self._fresh = _Lane("midspan-ros1-fresh", fresh)
+        self._doubtful = _Lane("midspan-ros1-doubtful", doubtful)
         self._lock = threading.Lock()
         self._failed: set[str] = set()
 
     def submit(self, address: str, job: Job) -> None:
         """Run a job that talks to ``address`` soon."""
-        with self._lock:
-            lane = 1 if address in self._failed else 0
-            if not self._threads:
-                self._start()
-        self._queues[lane].put(job)
+        if self._is_doubtful(address):
+            self._doubtful.submit(job)
+        else:
+            self._fresh.submit(lambda: self._doubtful.submit(job) if self._is_doubtful(address) else job())
 
     def failed(self, address: str) -> None:
         """An address did not answer."""
@@ -49,24 +49,56 @@ class Lanes:
             self._failed &= alive
 
     def stop(self) -> None:
-        """End all threads once they have ended what they are at; does not wait."""
+        """Run nothing more; what is under way ends by its own deadlines, and is not waited for."""
+        self._fresh.stop()
+        self._doubtful.stop()
+
+    def _is_doubtful(self, address: str) -> bool:
         with self._lock:
-            for lane, count in enumerate(self._counts):
-                for _ in range(count):
-                    self._queues[lane].put(None)
+            return address in self._failed
 
-    def _start(self) -> None:
-        for lane, count in enumerate(self._counts):
-            for number in range(count):
-                name = f"midspan-ros1-{'doubtful' if lane else 'fresh'}-{number}"
-                thread = threading.Thread(target=self._run, args=(self._queues[lane],), name=name, daemon=True)
-                thread.start()
-                self._threads.append(thread)
 
-    @staticmethod
-    def _run(jobs: queue.SimpleQueue[Job | None]) -> None:
-        while (job := jobs.get()) is not None:
+class _Lane:
+    """Threads that come with the work, up to a limit, and go when there is none."""
+
+    def __init__(self, name: str, limit: int) -> None:
+        self._name, self._limit = name, limit
+        self._condition = threading.Condition()
+        self._jobs: deque[Job] = deque()
+        self._threads = 0
+        self._idle = 0
+        self._stopped = False
+
+    def submit(self, job: Job) -> None:
+        with self._condition:
+            if self._stopped:
+                return
+            self._jobs.append(job)
+            if len(self._jobs) > self._idle and self._threads < self._limit:
+                self._threads += 1
+                threading.Thread(target=self._run, name=self._name, daemon=True).start()
+            else:
+                self._condition.notify()
+
+    def stop(self) -> None:
+        with self._condition:
+            self._stopped = True
+            self._jobs.clear()
+            self._condition.notify_all()
+
+    def _run(self) -> None:
+        while (job := self._next()) is not None:
             try:
                 job()
             except Exception:
                 _log.exception("a conversation with a ROS 1 node failed in an unforeseen way")
+
+    def _next(self) -> Job | None:
+        with self._condition:
+            self._idle += 1
+            self._condition.wait_for(lambda: self._jobs or self._stopped, _IDLE_SECONDS)
+            self._idle -= 1
+            if self._jobs:
+                return self._jobs.popleft()
+            self._threads -= 1
+            return None

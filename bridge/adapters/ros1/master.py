@@ -30,16 +30,20 @@ _BATCH = 200
 _SPARE_NAMES = 9
 
 Seen = Callable[[Look | None], None]
+Lost = Callable[[str], None]
 
 
 class Master:
     """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away."""
 
-    def __init__(self, uri: str, node: Node, daemon: str, ledger: Ledger, period: float, seen: Seen) -> None:
+    def __init__(
+        self, uri: str, node: Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost
+    ) -> None:
         self.uri = uri
         self.trouble = ""
         self._node, self._daemon, self._ledger = node, daemon, ledger
-        self._period, self._seen = period, seen
+        self._period, self._seen, self._lost_name = period, seen, lost_name
+        self._evicted = False
         self._client = RpcClient(uri, _TIMEOUT)
         self._looker = Looker(self._client, node.name)
         self._run_id: str | None = None
@@ -57,6 +61,10 @@ class Master:
     def wake(self) -> None:
         """Look again at once."""
         self._wake.set()
+
+    def evicted(self) -> None:
+        """Another node has our name: register nothing more, else the two would end each other in turn."""
+        self._evicted = True
 
     def presence(self) -> Presence:
         """Our own entry."""
@@ -99,7 +107,8 @@ class Master:
             self._join(look)
             look = self._looker.look()
             self._run_id = look.run
-        calls = self._missing(look)
+        self._guard_name(look)
+        calls = [] if self._evicted else self._missing(look)
         for batch in _batches(calls):
             if self._stopping.is_set():
                 break
@@ -141,6 +150,13 @@ class Master:
             if not any(self._answers(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"
+
+    def _guard_name(self, look: Look) -> None:
+        name = self._node.name
+        uri = look.uris.get(name, self._node.uri)
+        if uri != self._node.uri and not self._evicted and self._answers(uri):
+            self.evicted()
+            self._lost_name(f"another node, at {uri}, took the name {name} on this ROS 1 network")
 
     def _answers(self, uri: str) -> bool:
         try:

@@ -10,12 +10,13 @@ import base64
 import json
 import logging
 import os
+import signal
 import sys
 import threading
 import time
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import roslib.message
 
@@ -160,8 +161,16 @@ class Program:
 def main() -> None:
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    logging.basicConfig(level=logging.DEBUG if os.environ.get("DEBUG") else logging.INFO)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    logging.basicConfig(level=logging.INFO)
     program = Program(Config.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
+    try:
+        serve(program, answers)
+    finally:
+        program.edge.stop()
+
+
+def serve(program: Program, answers: IO[str]) -> None:
     for line in sys.stdin:
         command = json.loads(line)
         name = command.pop("do")
@@ -173,7 +182,6 @@ def main() -> None:
         answers.write(json.dumps(answer) + "\n")
         if name == "exit":
             break
-    program.edge.stop()
 
 
 main()

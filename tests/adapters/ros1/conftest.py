@@ -1,0 +1,16 @@
+"""One roscore for all tests that do not stop it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.ros1 import RosMaster
+
+
+@pytest.fixture(scope="session")
+def master() -> Iterator[RosMaster]:
+    """A roscore that stays for the whole session; tests use topic and node names of their own."""
+    with RosMaster() as master:
+        yield master

@@ -1,0 +1,314 @@
+"""The ROS 1 edge beside real rospy programs."""
+
+import base64
+import contextlib
+import socket
+import struct
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+from tests.adapters.ros1.parts import edge_on, string, text
+from tests.adapters.ros1.servers import publisher, tcp_server, until_closed
+from tests.support.ros1 import needs_ros1
+from tests.support.wait import until
+
+pytestmark = [pytest.mark.real, needs_ros1]
+
+STRING_MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
+THING = """std_msgs/Header header
+string name
+uint8[] data
+my_pkg/Inner[] inner
+================================================================================
+MSG: my_pkg/Inner
+float64 x
+time when
+================================================================================
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+A_THING = {
+    "header": {"seq": 7, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "map"},
+    "name": "thing",
+    "data": [0, 128, 255],
+    "inner": [{"x": 1.5, "when": {"secs": 3, "nsecs": 4}}, {"x": -2.0, "when": {"secs": 5, "nsecs": 6}}],
+}
+
+
+@pytest.fixture
+def edge(master, tmp_path):
+    with edge_on(master, tmp_path) as edge:
+        yield edge
+
+
+def latest(messages):
+    return [m["data"] for m in messages]
+
+
+def test_what_is_on_the_graph(master, edge):
+    with master.peer("graph_talker") as peer:
+        peer.advertise("/graph/plain", "std_msgs/String")
+        peer.advertise("/graph/latched", "sensor_msgs/LaserScan", latched=True)
+        peer.subscribe("/graph/heard", "std_msgs/Int32")
+        plain = edge.endpoint(topic="/graph/plain", made_by="native")
+        assert (plain["kind"], plain["type"], plain["latched"]) == ("publisher", "std_msgs/String", False)
+        assert (plain["node"], plain["type_id"]) == ("/graph_talker", STRING_MD5)
+        latched = edge.endpoint(topic="/graph/latched", made_by="native")
+        assert (latched["type"], latched["latched"]) == ("sensor_msgs/LaserScan", True)
+        assert "float32[] ranges" in latched["definition"]
+        assert "MSG: std_msgs/Header" in latched["definition"]
+        heard = edge.endpoint(topic="/graph/heard")
+        assert (heard["kind"], heard["type"], heard["made_by"]) == ("subscription", "std_msgs/Int32", "native")
+        assert len({e["id"] for e in edge.endpoints()}) == len(edge.endpoints())
+    until(lambda: not edge.endpoints(topic="/graph/plain"), "the endpoints go with their node")
+
+
+def test_publishers_of_different_types_on_one_topic(master, edge):
+    with master.peer("two_a") as first, master.peer("two_b") as second:
+        a = first.advertise("/two", "std_msgs/String", latched=True)
+        b = second.advertise("/two", "std_msgs/Int32", latched=True)
+        first.publish(a, {"data": "text"})
+        second.publish(b, {"data": 5})
+        assert edge.endpoint(topic="/two", node="/two_a", made_by="native")["type"] == "std_msgs/String"
+        assert edge.endpoint(topic="/two", node="/two_b", made_by="native")["type"] == "std_msgs/Int32"
+        strings, numbers = edge.open("/two", "std_msgs/String"), edge.open("/two", "std_msgs/Int32")
+        assert [text(p) for p, _ in edge.received(strings, 1)] == ["text"]
+        assert [base64.b64decode(p) for p, _ in edge.received(numbers, 1)] == [struct.pack("<i", 5)]
+        first.publish(a, {"data": "more"})
+        assert [text(p) for p, _ in edge.received(strings, 2)] == ["text", "more"]
+        assert len(edge.received(numbers, 2, 0.2)) == 1, "what has another type is not delivered"
+
+
+def test_messages_come_in_with_their_source(master, edge):
+    with master.peer("in_a") as first, master.peer("in_b") as second:
+        one = first.advertise("/in", "std_msgs/String", latched=True)
+        first.publish(one, {"data": "latched before"})
+        inbox = edge.open("/in", "std_msgs/String")
+        two = second.advertise("/in", "std_msgs/String", latched=True)
+        second.publish(two, {"data": "latched later"})
+        got = edge.received(inbox, 2)
+        ids = {e["node"]: e["id"] for e in edge.endpoints(topic="/in", kind="publisher")}
+        assert {(text(p), s) for p, s in got} == {
+            ("latched before", ids["/in_a"]), ("latched later", ids["/in_b"])
+        }  # fmt: skip
+        for n in range(50):
+            first.publish(one, {"data": str(n)})
+        assert [text(p) for p, _ in edge.received(inbox, 52)[2:]] == [str(n) for n in range(50)]
+        edge.drop(inbox)
+        until(lambda: "/midspan" not in master.state()["subscribers"].get("/in", []), "it is unregistered")
+        until(lambda: first.ask("connections", id=one)["count"] == 0, "it is disconnected")
+
+
+def test_a_custom_type_both_ways(master, edge):
+    with master.peer("custom") as peer:
+        md5 = peer.ask("define", type="my_pkg/Thing", definition=THING)["md5"]
+        out = peer.advertise("/thing/in", "my_pkg/Thing", latched=True)
+        peer.publish(out, A_THING)
+        endpoint = edge.endpoint(topic="/thing/in", made_by="native")
+        assert (endpoint["type"], endpoint["type_id"]) == ("my_pkg/Thing", md5)
+        assert "my_pkg/Inner[] inner" in endpoint["definition"]
+        assert "MSG: my_pkg/Inner" in endpoint["definition"]
+        own = {"md5": md5, "definition": THING}
+        ((payload, _),) = edge.received(edge.open("/thing/in", "my_pkg/Thing", **own), 1)
+        inbox = peer.subscribe("/thing/out", "my_pkg/Thing")
+        publisher = edge.ask("advertise", topic="/thing/out", type="my_pkg/Thing", **own)["id"]
+        until(lambda: peer.ask("connections", id=inbox)["count"], "the peer is connected")
+        edge.ask("send", id=publisher, payload=payload)
+        (thing,) = peer.wait(inbox, 1)
+        thing["header"]["seq"] = A_THING["header"]["seq"]  # rospy counts the sender's messages there
+        assert thing == A_THING
+
+
+def test_late_joiners_get_what_each_source_left(master, edge):
+    publisher = edge.ask("advertise", topic="/late", type="std_msgs/String", latched=True, depth=1)["id"]
+    for source in "abc":
+        edge.send(publisher, f"old {source}", source)
+        edge.send(publisher, f"last {source}", source)
+    with master.peer("late") as peer:
+        inbox = peer.subscribe("/late", "std_msgs/String")
+        assert latest(peer.wait(inbox, 3)) == ["last a", "last b", "last c"]
+        header = peer.ask("header", id=inbox)["headers"]["/midspan"]
+        assert header["latching"] == "1"
+        assert header["midspan_origin"] == "robot"
+        edge.send(publisher, "live", "b")
+        assert latest(peer.wait(inbox, 4))[3:] == ["live"]
+        edge.ask("forget", id=publisher, source="a")
+        again = master.peer("later")
+        with again:
+            inbox = again.subscribe("/late", "std_msgs/String")
+            again.wait(inbox, 2)
+            edge.send(publisher, "end", "c")
+            assert latest(again.wait(inbox, 3)) == ["live", "last c", "end"]
+
+
+def test_a_depth_of_more_than_one_is_kept_per_source(master, edge):
+    publisher = edge.ask("advertise", topic="/deep", type="std_msgs/String", latched=True, depth=3)["id"]
+    for n in range(5):
+        edge.send(publisher, str(n), "a")
+    with master.peer("deep") as peer:
+        assert latest(peer.wait(peer.subscribe("/deep", "std_msgs/String"), 3)) == ["2", "3", "4"]
+
+
+def test_latched_and_volatile_publishers_share_a_topic(master, edge):
+    latched = edge.ask("advertise", topic="/shared", type="std_msgs/String", latched=True, depth=1)["id"]
+    volatile = edge.ask("advertise", topic="/shared", type="std_msgs/String")["id"]
+    edge.send(latched, "kept")
+    edge.send(volatile, "gone", "b")
+    with master.peer("shared") as peer:
+        inbox = peer.subscribe("/shared", "std_msgs/String")
+        assert latest(peer.wait(inbox, 1)) == ["kept"]
+        edge.drop(latched)
+        edge.send(volatile, "still there", "b")
+        assert latest(peer.wait(inbox, 2)) == ["kept", "still there"]
+        with pytest.raises(AssertionError, match="already published on ROS 1 as std_msgs/String"):
+            edge.ask("advertise", topic="/shared", type="std_msgs/Int32")
+        edge.drop(volatile)
+        until(lambda: "/shared" not in master.state()["publishers"], "it is unregistered with its last publisher")
+    with master.peer("shared") as peer:
+        again = edge.ask("advertise", topic="/shared", type="std_msgs/Int32")["id"]
+        inbox = peer.subscribe("/shared", "std_msgs/Int32")
+        until(lambda: peer.ask("connections", id=inbox)["count"], "the peer is connected")
+        edge.ask("send", id=again, payload=base64.b64encode(struct.pack("<i", 9)).decode())
+        assert latest(peer.wait(inbox, 1)) == [9]
+
+
+def test_what_a_midspan_published_is_never_taken_up(master, edge, tmp_path):
+    with edge_on(master, tmp_path / "second", "other") as second, master.peer("loop") as peer:
+        ours = edge.ask("advertise", topic="/loop", type="std_msgs/String", latched=True)["id"]
+        edge.send(ours, "from the first")
+        endpoint = second.endpoint(topic="/loop", made_by="midspan")
+        assert endpoint["type"] == "std_msgs/String"
+        native = peer.advertise("/loop", "std_msgs/String", latched=True)
+        peer.publish(native, {"data": "native"})
+        inboxes = [(e, e.open("/loop", "std_msgs/String")) for e in (edge, second)]
+        for e, inbox in inboxes:
+            assert [text(p) for p, _ in e.received(inbox, 1)] == ["native"]
+        edge.send(ours, "again from the first")
+        peer.publish(native, {"data": "native again"})
+        for e, inbox in inboxes:
+            assert [text(p) for p, _ in e.received(inbox, 2)] == ["native", "native again"]
+        assert not edge.endpoints(node="/midspan"), "our own endpoints are not among the others'"
+        heard = second.endpoint(topic="/loop", node="/midspan", kind="subscription")
+        assert heard["made_by"] == "midspan"
+
+
+def test_names_that_ros2_forbids(master, edge):
+    with master.peer("digits") as peer:
+        peer.subscribe("/camera/1/image", "std_msgs/String")
+        edge.endpoint(topic="/camera/1/image")
+        names = edge.ask("names", hub="/camera/n1/image", side="/camera/1/image")
+        assert (names["side"], names["hub"]) == ("/camera/1/image", "/camera/n1/image")
+
+
+def test_types_cross_to_the_hub_and_back(master, edge):
+    with master.peer("types") as peer:
+        peer.advertise("/types", "nav_msgs/Odometry")
+        edge.endpoint(topic="/types", made_by="native")
+        answer = edge.ask("convert", type="nav_msgs/Odometry")
+        assert answer["hub"] == "nav_msgs/msg/Odometry"
+        assert (answer["side"], answer["md5"]) == ("nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7")
+
+
+def test_a_type_without_md5_is_refused(edge):
+    with pytest.raises(AssertionError, match=r"MessageTypeError.*md5"):
+        edge.ask("advertise", topic="/unknown", type="a/B", md5="*", definition="")
+
+
+@contextlib.contextmanager
+def registered(master, topic, node, uri):
+    """A publisher that is in the master's state, whatever it is."""
+    with ServerProxy(master.uri) as proxy:
+        proxy.registerPublisher(node, topic, "std_msgs/String", uri)
+        try:
+            yield
+        finally:
+            proxy.unregisterPublisher(node, topic, uri)
+
+
+def test_dead_and_odd_publishers_beside_a_good_one(master, edge):
+    def garbage(sock) -> None:
+        sock.sendall(b"\xff" * 1000)
+        until_closed(sock)
+
+    with contextlib.ExitStack() as stack:
+        host, port = stack.enter_context(tcp_server(until_closed))
+        odd = stack.enter_context(publisher(garbage))
+        for n in range(30):
+            stack.enter_context(registered(master, f"/dead{n}", "/hung", f"http://{host}:{port}/"))
+        stack.enter_context(registered(master, "/odd", "/odd", odd))
+        stack.enter_context(registered(master, "/dead0", "/killed", "http://127.0.0.1:9/"))
+        peer = stack.enter_context(master.peer("alive"))
+        inbox = edge.open("/dead0", "std_msgs/String")
+        out = peer.advertise("/dead0", "std_msgs/String", latched=True)
+        peer.publish(out, {"data": "alive"})
+        assert [text(p) for p, _ in edge.received(inbox, 1)] == ["alive"]
+        assert {e["made_by"] for e in edge.endpoints(node="/hung")} == {"unknown"}
+        warning = until(lambda: [w for w in edge.ask("status")["warnings"] if "/odd" in w], "a warning of the odd one")
+        assert "connection header claims" in warning[0]
+
+
+def test_a_killed_publisher_counts_no_more(master, edge):
+    with master.peer("killed") as peer:
+        peer.advertise("/killed", "std_msgs/String", latched=True)
+        edge.endpoint(topic="/killed", made_by="native")
+        inbox = edge.open("/killed", "std_msgs/String")
+        until(lambda: "/midspan" in master.state()["subscribers"].get("/killed", []), "it is registered")
+        peer.signal(9)
+        peer.popen.wait()
+        assert "/killed" in master.state()["publishers"], "the master does not notice"
+        edge.endpoint(topic="/killed", made_by="unknown")
+    with master.peer("killed") as peer:
+        again = peer.advertise("/killed", "std_msgs/String", latched=True)
+        peer.publish(again, {"data": "back"})
+        assert [text(p) for p, _ in edge.received(inbox, 1)] == ["back"]
+        edge.endpoint(topic="/killed", made_by="native")
+
+
+def test_a_silent_peer_keeps_no_other_out(master, edge):
+    publisher = edge.ask("advertise", topic="/door", type="std_msgs/String", latched=True)["id"]
+    edge.send(publisher, "open")
+    state = until(lambda: master.call("lookupNode", "/midspan"), "the node is known")
+    with ServerProxy(state) as node, contextlib.ExitStack() as stack:
+        _, _, (_, host, port) = node.requestTopic("/silent", "/door", [["TCPROS"]])
+        for start in (b"", b"\xff\xff\xff\xff", b"\x10\0\0\0half a header"):
+            sock = stack.enter_context(socket.create_connection((host, port)))
+            sock.sendall(start)
+        with master.peer("door") as peer:
+            assert latest(peer.wait(peer.subscribe("/door", "std_msgs/String"), 1)) == ["open"]
+
+
+def test_a_subscriber_that_stands_still_holds_up_nobody(master, edge):
+    publisher = edge.ask("advertise", topic="/slow", type="std_msgs/String", depth=5)["id"]
+    with master.peer("slow") as slow, master.peer("quick") as quick:
+        standing = slow.subscribe("/slow", "std_msgs/String")
+        until(lambda: slow.ask("connections", id=standing)["count"], "the slow one is connected")
+        slow.signal(19)
+        inbox = quick.subscribe("/slow", "std_msgs/String")
+        until(lambda: quick.ask("connections", id=inbox)["count"], "the quick one is connected")
+        big = string("x" * 1_000_000)
+        for n in range(1, 21):
+            edge.ask("send", id=publisher, payload=big)
+            assert len(quick.ask("wait", id=inbox, count=n, seconds=10)["messages"]) == n
+        assert edge.ask("send", id=publisher, payload=big)["dropped"] > 0
+        slow.signal(18)
+
+
+def test_rosnode_can_read_our_connections(master, edge):
+    with master.peer("info") as peer:
+        peer.advertise("/info/in", "std_msgs/String")
+        edge.endpoint(topic="/info/in", made_by="native")
+        edge.open("/info/in", "std_msgs/String")
+        edge.ask("advertise", topic="/info/out", type="std_msgs/String")
+        peer.subscribe("/info/out", "std_msgs/String")
+        uri = until(lambda: master.call("lookupNode", "/midspan"), "the node is known")
+
+        def topics() -> bool:
+            with ServerProxy(uri) as node:
+                _, _, connections = node.getBusInfo("/test")
+                assert node.getBusStats("/test")[0] == 1
+            return {c[4] for c in connections} == {"/info/in", "/info/out"}
+
+        until(topics, "both connections are told")

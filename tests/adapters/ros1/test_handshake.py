@@ -1,0 +1,116 @@
+"""TCPROS headers, and handshakes with peers that misbehave."""
+
+import contextlib
+import struct
+
+import pytest
+
+from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError
+from bridge.adapters.ros1.handshake import MAX_HEADER, connect, decode, encode
+from tests.adapters.ros1.servers import node, publisher, until_closed
+from tests.support.ports import free_port
+
+HEADER = {
+    "type": "std_msgs/String",
+    "md5sum": "992c",
+    "message_definition": "string data\nint32 a=3\n",
+    "latching": "1",
+}
+
+
+def field(text: bytes) -> bytes:
+    return struct.pack("<I", len(text)) + text
+
+
+def test_bytes_on_the_wire():
+    # https://wiki.ros.org/ROS/Connection%20Header: lengths are little endian, fields are name=value
+    assert encode({"md5sum": "*", "topic": "/a"}) == b"\x18\0\0\0" + b"\x08\0\0\0md5sum=*" + b"\x08\0\0\0topic=/a"
+    assert decode(encode(HEADER)[4:]) == HEADER
+
+
+@pytest.mark.parametrize(
+    "body", [b"\1\0", field(b"a=b")[:-1], field(b"nothing"), b"\xff\xff\xff\xff" + b"a=b", field(b"a=b") + b"\0"]
+)
+def test_broken_headers_are_refused(body):
+    with pytest.raises(ProtocolError, match="connection header"):
+        decode(body)
+
+
+def test_definitions_in_any_encoding_are_read():
+    assert decode(field("message_definition=# Müller".encode("latin-1")))["message_definition"].startswith("# M")
+
+
+def test_a_good_publisher():
+    def serve(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(encode(HEADER) + b"\2\0\0\0hi")
+        until_closed(sock)
+
+    with publisher(serve) as uri:
+        sock, header = connect("/me", uri, "/topic", 5.0)
+        with contextlib.closing(sock):
+            assert header == HEADER
+            assert sock.recv(100) == b"\2\0\0\0hi", "not a byte behind the header may be lost"
+
+
+def say(data):
+    def serve(sock) -> None:
+        sock.recv(65536)
+        sock.sendall(data)
+        until_closed(sock)
+
+    return serve
+
+
+def trickle(sock):
+    """A byte now and then, for ever: each one starts a plain time-out anew."""
+    sock.sendall(struct.pack("<I", 1000))
+    sock.settimeout(0.05)
+    while True:
+        with contextlib.suppress(TimeoutError):
+            if not sock.recv(65536):
+                return
+        sock.sendall(b"x")
+
+
+BAD = [
+    (say(struct.pack("<I", MAX_HEADER + 1)), ProtocolError, "claims 1048577 bytes"),
+    (say(b"HTTP/1.1 400 Bad Request\r\n\r\n"), ProtocolError, "claims"),
+    (say(struct.pack("<I", 5) + b"\xff\xff\xff\xffa"), ProtocolError, "cut short"),
+    (say(encode({"error": "no such topic"})), RefusedError, "no such topic"),
+    (say(encode({"md5sum": "1"})), ProtocolError, "names no type"),
+    (lambda _sock: None, Ros1Error, "closed the connection|broke off"),
+    (until_closed, UnreachableError, "in time"),
+    (trickle, UnreachableError, "in time"),
+]
+
+
+@pytest.mark.parametrize(("serve", "error", "words"), BAD)
+def test_publishers_that_misbehave(serve, error, words):
+    with publisher(serve) as uri, pytest.raises(error, match=words):
+        connect("/me", uri, "/topic", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("answer", "error"),
+    [
+        ([1, "", []], Ros1Error),
+        ([1, "", ["UDPROS", 1]], Ros1Error),
+        ([1, "", ["TCPROS", "127.0.0.1", 0]], Ros1Error),
+        ([1, "", ["TCPROS", "127.0.0.1", "http"]], Ros1Error),
+        ([0, "not mine", 0], RefusedError),
+        (["x"], ProtocolError),
+        (5, ProtocolError),
+    ],
+)
+def test_answers_of_nodes_that_misbehave(answer, error):
+    with node(requestTopic=lambda *_: answer) as uri, pytest.raises(error):
+        connect("/me", uri, "/topic", 2.0)
+
+
+def test_nobody_there():
+    with pytest.raises(UnreachableError, match="does not answer"):
+        connect("/me", f"http://127.0.0.1:{free_port()}/", "/topic", 2.0)
+    answer = [1, "", ["TCPROS", "127.0.0.1", free_port()]]
+    with node(requestTopic=lambda *_: answer) as uri, pytest.raises(UnreachableError, match="cannot connect"):
+        connect("/me", uri, "/topic", 2.0)

@@ -1,0 +1,163 @@
+"""Joining, losing and leaving a master; dead predecessors; other Midspans."""
+
+import signal
+import time
+
+import pytest
+
+from tests.adapters.ros1.parts import EdgeUnderTest, edge_on, text
+from tests.support.ros1 import RosMaster, needs_ros1
+from tests.support.wait import until
+
+pytestmark = [pytest.mark.real, needs_ros1]
+
+
+def presence(master):
+    return master.call("getParam", "/midspan/nodes") or {}
+
+
+def test_network_identity(master, tmp_path):
+    with edge_on(master, tmp_path) as edge:
+        answer = edge.ask("network")
+        assert answer["network"] == master.call("getParam", "/run_id")
+        assert answer["own"]
+        assert not answer["ros2"]
+        entry = presence(master)["midspan"]
+        assert (entry["daemon"], entry["node"], entry["pid"]) == ("robot", "/midspan", edge.pid)
+        assert "/rosout" not in [t for t, nodes in master.state()["publishers"].items() if "/midspan" in nodes]
+
+
+def test_a_clean_stop_leaves_nothing(master, tmp_path):
+    with master.peer("clean") as peer:
+        peer.advertise("/clean/in", "std_msgs/String")
+        before = (master.state(), master.parameters())
+        with edge_on(master, tmp_path) as edge:
+            edge.endpoint(topic="/clean/in", made_by="native")
+            for n in range(20):
+                edge.open("/clean/in", "std_msgs/String")
+                edge.ask("advertise", topic=f"/clean/out{n}", type="std_msgs/String", latched=True)
+            until(lambda: "/clean/out19" in master.state()["publishers"], "all is registered")
+            assert (master.state(), master.parameters()) != before
+            assert edge.ask("stop")["seconds"] < 2.0, "the promise of Edge.stop"
+            assert (master.state(), master.parameters()) == before
+            assert edge.ask("network")["network"] is None
+            edge.ask("stop")
+
+
+def test_what_a_killed_one_left_is_removed(master, tmp_path):
+    with master.peer("bystander") as peer:
+        peer.advertise("/bystander", "std_msgs/String")
+        before = (master.state(), master.parameters())
+        edge = edge_on(master, tmp_path, node="first_name")
+        edge.open("/bystander", "std_msgs/String")
+        edge.ask("advertise", topic="/left", type="std_msgs/String")
+        until(lambda: "/left" in master.state()["publishers"], "it is registered")
+        until(lambda: "/first_name" in master.state()["subscribers"].get("/bystander", []), "both are")
+        edge.signal(signal.SIGKILL)
+        edge.stop()
+        assert "/left" in master.state()["publishers"], "the master does not notice"
+        other = edge_on(master, tmp_path / "not_mine", "another", node="third_name")
+        with other:
+            assert "/left" in master.state()["publishers"], "another daemon's leftovers are not ours to remove"
+            assert "first_name" in presence(master)
+            until(lambda: not other.ask("status")["others"], "the dead one is not counted as present")
+        with edge_on(master, tmp_path, node="second_name") as again:
+            assert "/left" not in master.state()["publishers"]
+            assert "/first_name" not in master.nodes()
+            assert set(presence(master)) == {"second_name"}
+            again.ask("stop")
+        assert (master.state(), master.parameters()) == before
+
+
+def test_the_same_name_again_after_a_kill(master, tmp_path):
+    edge = edge_on(master, tmp_path)
+    edge.ask("advertise", topic="/same", type="std_msgs/String")
+    until(lambda: "/same" in master.state()["publishers"], "it is registered")
+    edge.signal(signal.SIGKILL)
+    edge.stop()
+    with edge_on(master, tmp_path) as again:
+        until(lambda: presence(master).get("midspan", {}).get("pid") == again.pid, "the entry is the new one's")
+        assert "/same" not in master.state()["publishers"]
+
+
+def test_two_daemons_know_of_each_other(master, tmp_path):
+    with edge_on(master, tmp_path / "a", "first") as first, edge_on(master, tmp_path / "b", "se-cond") as second:
+        others = until(lambda: first.ask("status")["others"], "the first sees the second")
+        assert [(o["daemon"], o["node"]) for o in others] == [("se-cond", "/midspan_se_cond")]
+        others = until(lambda: second.ask("status")["others"], "the second sees the first")
+        assert [(o["daemon"], o["node"]) for o in others] == [("first", "/midspan")]
+        assert not first.ask("status")["failures"], "the master did not end the first one for its name"
+        second.ask("advertise", topic="/of/second", type="std_msgs/String")
+        until(
+            lambda: master.state()["publishers"].get("/of/second") == ["/midspan_se_cond"], "it has a name of its own"
+        )
+        second.signal(signal.SIGKILL)
+        until(lambda: not first.ask("status")["others"], "a dead one is not there")
+
+
+def test_being_asked_to_stop_is_a_failure(master, tmp_path):
+    with edge_on(master, tmp_path) as edge:
+        edge.ask("advertise", topic="/asked", type="std_msgs/String")
+        until(lambda: "/asked" in master.state()["publishers"], "it is registered")
+        with master.peer("midspan") as peer:  # the master asks the older node of a name to go
+            reason = until(lambda: edge.ask("status")["failures"], "the edge says so")
+            edge.ask("advertise", topic="/asked/too", type="std_msgs/String")
+            out = peer.advertise("/asked/peer", "std_msgs/String")
+            until(lambda: "/asked/peer" in master.state()["publishers"], "the other node lives")
+            peer.publish(out, {"data": "alive"})
+            assert not {"/asked", "/asked/too"} & set(master.state()["publishers"]), "the two do not fight for the name"
+        assert "same name" in reason[0] or "took the name" in reason[0]
+
+
+def test_joining_a_master_that_comes_later(tmp_path):
+    master = RosMaster()
+    try:
+        with EdgeUnderTest(master.uri, tmp_path) as edge:
+            assert edge.ask("start")["seconds"] < 2.0, "start returns at once"
+            publisher = edge.ask("advertise", topic="/early", type="std_msgs/String", latched=True)["id"]
+            edge.send(publisher, "early")
+            until(lambda: edge.ask("status")["warnings"], "the missing master is told")
+            assert "no ROS 1 master" in edge.ask("status")["warnings"][0]
+            assert edge.ask("network")["network"] is None
+            master.start()
+            edge.joined(master.call("getParam", "/run_id"))
+            with master.peer("late") as peer:
+                assert [m["data"] for m in peer.wait(peer.subscribe("/early", "std_msgs/String"), 1)] == ["early"]
+    finally:
+        master.close()
+
+
+def test_a_restarted_master_is_joined_again(tmp_path, record_property):
+    with RosMaster() as master, edge_on(master, tmp_path) as edge:
+        publisher = edge.ask("advertise", topic="/out", type="std_msgs/String", latched=True)["id"]
+        edge.send(publisher, "kept")
+        inbox = edge.open("/in", "std_msgs/String")
+        first = edge.joined()
+        master.stop()
+        until(lambda: edge.ask("network")["network"] is None, "the loss is noticed")
+        assert edge.endpoints() == []
+        assert not edge.ask("network")["own"]
+        master.start()
+        begin = time.monotonic()
+        second = edge.joined(master.call("getParam", "/run_id"))
+        until(lambda: "/midspan" in master.state()["publishers"].get("/out", []), "the publisher is registered again")
+        until(lambda: "/midspan" in master.state()["subscribers"].get("/in", []), "so is the subscription")
+        until(lambda: "midspan" in presence(master), "so is the presence")
+        record_property("seconds_to_rejoin", time.monotonic() - begin)
+        assert first != second
+        with master.peer("after") as peer:
+            assert [m["data"] for m in peer.wait(peer.subscribe("/out", "std_msgs/String"), 1)] == ["kept"]
+            out = peer.advertise("/in", "std_msgs/String", latched=True)
+            peer.publish(out, {"data": "after"})
+            assert [text(p) for p, _ in edge.received(inbox, 1)] == ["after"]
+
+
+def test_stop_while_the_master_is_away(tmp_path):
+    with RosMaster() as master, edge_on(master, tmp_path) as edge:
+        edge.ask("advertise", topic="/out", type="std_msgs/String")
+        assert master._process is not None
+        master._process.signal(signal.SIGSTOP)
+        try:
+            assert edge.ask("stop")["seconds"] < 2.0, "the promise of Edge.stop"
+        finally:
+            master._process.signal(signal.SIGCONT)

@@ -1,0 +1,60 @@
+"""The rule that makes ROS 1 names legal on the hub."""
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.adapters.ros1.names import MAX_LENGTH, NameTable, hub_name
+
+LEGAL = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+
+CASES = [
+    ("/scan", "/scan"),
+    ("/camera/rgb/image_raw", "/camera/rgb/image_raw"),
+    ("/_hidden/a__b", "/_hidden/a__b"),
+    ("/camera/1/image", "/camera/n1/image"),
+    ("/3d", "/n3d"),
+    ("/a-b/c.d", "/a_b/c_d"),
+    ("/a//b", "/a/b"),
+    ("/a/", "/a"),
+    ("a", "/a"),
+    ("/a/~b", "/a/_b"),
+    ("/grün", "/gr_n"),
+    ("/a b", "/a_b"),
+    ("/", "/_"),
+    ("/-1", "/_1"),
+]
+
+
+@pytest.mark.parametrize(("side", "hub"), CASES)
+def test_rule(side, hub):
+    assert hub_name(side) == hub
+
+
+def test_long_names_stay_apart():
+    first, second = (hub_name("/" + "a" * 300 + end) for end in "bc")
+    assert len(first) == len(second) == MAX_LENGTH
+    assert first != second
+    assert LEGAL.fullmatch(first)
+
+
+@given(st.text(max_size=300))
+def test_always_legal_and_stable(name):
+    hub = hub_name(name)
+    assert LEGAL.fullmatch(hub)
+    assert len(hub) <= MAX_LENGTH
+    assert hub_name(hub) == hub
+
+
+def test_the_way_back():
+    table = NameTable()
+    table.learn(["/camera/1/image", "/scan", "/b-c", "/b.c"])
+    assert table.side_name("/camera/n1/image") == "/camera/1/image"
+    assert table.side_name("/scan") == "/scan"
+    assert table.side_name("/other") == "/other"
+    assert table.side_name("/b_c") == "/b-c", "of two names the first in the alphabet"
+    table.learn(["/b_c"])
+    assert table.side_name("/b_c") == "/b_c", "a name that is legal itself wins"
+    assert table.side_name("/camera/n1/image") == "/camera/1/image", "names are kept when they leave"

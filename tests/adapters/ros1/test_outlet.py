@@ -1,0 +1,102 @@
+"""One subscriber's connection: slow ones cost their own messages and nobody's time."""
+
+import socket
+import struct
+import threading
+
+import pytest
+
+from bridge.adapters.ros1.outlet import Outlet
+from tests.support.wait import until
+
+
+class Pair:
+    """An outlet, and the subscriber's end."""
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as listener:
+            self.subscriber = socket.create_connection(listener.getsockname())
+            self.socket, _ = listener.accept()
+        self.outlet = Outlet(self.socket, "out")
+
+    def read(self, count: int) -> bytes:
+        data = b""
+        while len(data) < count:
+            part = self.subscriber.recv(count - len(data))
+            assert part, "the connection was closed"
+            data += part
+        return data
+
+    def message(self) -> bytes:
+        (length,) = struct.unpack("<I", self.read(4))
+        return self.read(length)
+
+    def close(self) -> None:
+        self.outlet.close()
+        for sock in (self.socket, self.subscriber):
+            sock.close()
+        if self.outlet._thread is not None:
+            self.outlet._thread.join(10)
+
+
+@pytest.fixture
+def pair():
+    made = Pair()
+    yield made
+    made.close()
+
+
+def test_a_quick_subscriber_costs_no_thread(pair):
+    for n in range(100):
+        assert pair.outlet.send(b"%d" % n, "a", 1)
+        assert pair.message() == b"%d" % n
+    assert pair.outlet._thread is None
+    assert pair.outlet.dropped == 0
+
+
+def test_large_messages_arrive_whole(pair):
+    sent = [bytes([n]) * 3_000_000 for n in range(6)]
+    received = []
+    reading = threading.Thread(target=lambda: received.extend(pair.message() for _ in sent))
+    reading.start()
+    for message in sent:
+        assert pair.outlet.send(message, "a", 10)
+    reading.join(20)
+    assert received == sent
+
+
+def test_a_subscriber_that_stands_still_loses_its_oldest(pair):
+    big = 1_000_000
+    for n in range(50):
+        assert pair.outlet.send(bytes([n]) * big, "a", 3), "the sender is never held up"
+    pair.outlet.send(b"other", "b", 3)
+    total = 51 - pair.outlet.dropped
+    assert 0 < pair.outlet.dropped < 50
+    numbers, others = [], []
+    for _ in range(total):
+        message = pair.message()
+        if message == b"other":
+            others.append(message)
+        else:
+            assert len(set(message)) == 1
+            assert len(message) == big
+            numbers.append(message[0])
+    assert numbers == sorted(numbers)
+    assert numbers[-3:] == [47, 48, 49], "the newest stay"
+    assert others == [b"other"], "a source's messages make room for its own only"
+
+
+def test_a_broken_connection_is_told(pair):
+    pair.subscriber.close()
+    until(lambda: not pair.outlet.send(b"x" * 1000, "a", 1), "the broken connection is noticed")
+
+
+def test_closing_ends_the_thread_of_a_stuck_one(pair):
+    for _ in range(20):
+        pair.outlet.send(b"x" * 1_000_000, "a", 2)
+    assert pair.outlet._thread is not None
+    pair.outlet.close()
+    pair.socket.shutdown(socket.SHUT_RDWR)
+    pair.outlet._thread.join(10)
+    assert not pair.outlet._thread.is_alive()
+    assert not pair.outlet.send(b"x", "a", 2)
