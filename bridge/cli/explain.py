@@ -89,7 +89,8 @@ def explain(client: Client, topic: str) -> Explanation:
     if not decisions and not endpoints:
         raise CliError(unknown_topic(topic, known_names(client, documents)))
     paired = [(decision, _route(decision, documents)) for decision in decisions]
-    notes = [*_hub_notes(topic, endpoints), *_worker_notes(decisions, documents)]
+    names |= {d.topic for d in decisions}
+    notes = [*_hub_notes(topic, endpoints), *_warnings(names, documents), *_worker_notes(decisions, documents)]
     return Explanation(topic, paired, endpoints, notes)
 
 
@@ -127,6 +128,17 @@ def _hub_notes(topic: str, endpoints: Sequence[HubEndpoint]) -> list[Note]:
     return notes
 
 
+def _warnings(names: set[str], documents: Sequence[Document]) -> list[Note]:
+    """The workers' warnings that begin with the topic's name: QoS mismatches, types that nobody tells."""
+    told = [
+        (side_name(document.get("side")), str(warning))
+        for document in documents
+        if isinstance(document.get("warnings"), list)
+        for warning in document["warnings"]
+    ]
+    return [Note(f"{side}: {text}") for side, text in told if text.partition(": ")[0] in names]
+
+
 def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) -> list[Note]:
     if not documents:
         return [Note("no worker answers, so nothing is bridged now", "start the daemon: midspan run")]
@@ -146,8 +158,10 @@ def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) 
 
 def _sentences(explanation: Explanation) -> list[str]:
     lines: list[str] = []
+    several = len({decision.daemon for decision, _ in explanation.decisions}) > 1
     for decision, route in explanation.decisions:
-        lines += _decision_lines(decision, route)
+        whose = f" (daemon {decision.daemon})" if several else ""
+        lines += _decision_lines(decision, route, whose)
     publishers = [e for e in explanation.endpoints if e.kind == "publisher"]
     subscriptions = [e for e in explanation.endpoints if e.kind == "subscription"]
     lines.append(f"On the hub: {plural(len(publishers), 'publisher')}, {plural(len(subscriptions), 'subscription')}.")
@@ -160,13 +174,13 @@ def _sentences(explanation: Explanation) -> list[str]:
     return lines
 
 
-def _decision_lines(decision: Decision, route: Document | None) -> list[str]:
+def _decision_lines(decision: Decision, route: Document | None, whose: str) -> list[str]:
     word = _WORDS.get(decision.decision, decision.decision)
     name = decision.topic if decision.direction == "in" else decision.hub_topic
     lands = decision.hub_topic if decision.direction == "in" else decision.topic
     renamed = f" as {lands}" if decision.decision == "bridged" and name != lands else ""
     way = arrow(decision.worker, decision.direction)
-    text = f"{way}: {name} ({decision.type}) {word}{renamed}: {decision.why}. (daemon {decision.daemon})"
+    text = f"{way}{whose}: {name} ({decision.type}) {word}{renamed}: {decision.why}."
     lines = [clean(text)]
     if decision.cure:
         lines.append(f"    cure: {clean(decision.cure)}")
@@ -183,7 +197,7 @@ def _flow(route: Document) -> str:
     speed = rate(route.get("rate"))
     speed = "none in the last second" if speed == "-" else f"{speed} msg/s"
     return (
-        f"{route['messages']} messages, {speed}, the last one {duration(route.get('age'))} ago;"
+        f"{plural(route['messages'], 'message')}, {speed}, the last one {duration(route.get('age'))} ago;"
         f" drops: {drops_text(route)}; {clean(route.get('qos', ''))}"
     )
 

@@ -57,7 +57,7 @@ def _table(views: Iterable[TopicView]) -> Table:
             Text(", ".join(side_name(side) for side in view.sides) or "-"),
             str(len(view.publishers)),
             str(len(view.subscriptions)),
-            Text(view.state, style="green" if view.state == "hub" else "yellow"),
+            Text(view.state.replace("unseen", "nobody publishes"), style="green" if view.state == "hub" else "yellow"),
         )
     return table
 

@@ -10,6 +10,7 @@ from bridge.cli.hubclient import Client
 from bridge.cli.routes_table import route_list
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.liveliness import EndpointKind
+from bridge.messages.names import is_ros1_name
 from bridge.routing.guard import TAPS, origin_side
 
 
@@ -37,7 +38,7 @@ class TopicView:
     """One topic.
 
     Attributes:
-        types: types by which it is known, in the hub's spelling where it is on the hub.
+        types: types by which it is known, as ROS 2 spells them.
         publishers: on the hub.
         subscriptions: on the hub.
         decisions: what the workers decided of it.
@@ -102,8 +103,13 @@ def all_topics(client: Client) -> dict[str, TopicView]:
         view = views.setdefault(name, TopicView(name))
         view.decisions.append(decision)
         if not view.publishers and not view.subscriptions:
-            view.types.add(decision.type)
+            view.types.add(_ros2_spelling(decision.type))
     return views
+
+
+def _ros2_spelling(type_name: str) -> str:
+    """One spelling for a type that several sides name."""
+    return type_name.replace("/", "/msg/") if is_ros1_name(type_name) else type_name
 
 
 def known_names(client: Client, documents: Iterable[Any] = ()) -> set[str]:

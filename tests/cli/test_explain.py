@@ -67,17 +67,20 @@ def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, clos
         "decision": "bridged",
         "why": "w",
     }
-    document = status("ros2", routes=[route("/scan", "out", error="too short")])
+    odd = "/scan: /viewer does not hear us: volatile is offered, transient local is asked for"
+    document = status("ros2", routes=[route("/scan", "out", error="too short")], warnings=[odd, "/other: x"])
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
     words = midspan("explain", "/scan").out
+    assert "hub -> ROS 2: /scan (t) crosses: w." in words
     for text in (
-        "hub -> ROS 2: /scan (t) crosses",
         "100 messages, 9.8 msg/s",
         "last error: too short",
-        "ROS 1 (daemon",
+        "ROS 1 (daemon robot1) is away",
+        f"Note: ROS 2: {odd}",
     ):
         assert text in words
+    assert "/other" not in words
 
 
 def test_what_the_hub_shows_of_a_mismatch(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:

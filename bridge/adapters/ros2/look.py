@@ -7,6 +7,7 @@ standard input. It joins with a marked participant, so that a running bridge doe
 from __future__ import annotations
 
 import json
+import os
 import sys
 import tempfile
 import time
@@ -27,8 +28,6 @@ def look(config: Config, state: Path, seconds: float) -> dict[str, Any]:
         ``participants``: GUID prefixes in hex, without our own; ``nodes``: names of nodes that have endpoints, hidden
         ones left out.
     """
-    import os
-
     from bridge.adapters.ros2.environment import domain
     from bridge.adapters.ros2.graph import Graph
     from bridge.adapters.ros2.participant import Participant

@@ -1,0 +1,90 @@
+"""The examples of the documentation, and what it says of the doctor."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.cli.main import build_parser
+from bridge.cli.verbs import VERBS
+from bridge.doctor.checks import CHECKS
+from bridge.messages.json import from_json
+from bridge.messages.registry import Registry
+from tests.cli.conftest import Midspan
+from tests.cli.workers import EngineWorker
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+DOCS = Path(__file__).parents[2] / "docs"
+SCAN, MAP, LOG = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "rcl_interfaces/msg/Log"
+
+
+def examples(page: str) -> list[list[str]]:
+    """The arguments of every example on a page."""
+    text = (DOCS / page).read_text()
+    return [shlex.split(line, comments=True) for line in re.findall(r"^\$ midspan (.*)$", text, re.MULTILINE)]
+
+
+CLI = examples("cli.md")
+RUN = [
+    words for words in CLI
+    if words[0] in ("status", "top", "explain", "topic") and "--interval" not in words and "--router" not in words
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", CLI + examples("troubleshooting.md"), ids=" ".join)
+def test_every_example_is_understood(words: list[str]) -> None:
+    args = build_parser([words[0]]).parse_args(words)
+    assert isinstance(args, argparse.Namespace)
+
+
+def test_every_verb_has_an_example_and_a_place() -> None:
+    text = (DOCS / "cli.md").read_text()
+    assert {words[0] for words in CLI} == set(VERBS)
+    for verb in VERBS:
+        assert f"`{verb}`" in text.partition("## ")[0]
+
+
+@pytest.fixture
+def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Any:
+    """A side with the topics that the examples name."""
+    worker = EngineWorker(network, registry)
+    closing.append(worker)
+    writers = [
+        (worker.advertise("/scan", SCAN), from_json(registry, SCAN, {"ranges": [1.0] * 720})),
+        (worker.advertise("/rosout", LOG), from_json(registry, LOG, {"msg": "hello"})),
+    ]
+    grid = from_json(registry, MAP, {"info": {"width": 2, "height": 2}, "data": [0, 0, 100, -1]})
+    worker.side.write(worker.advertise("/map", MAP, latched=True), grid)
+    until(lambda: len(worker.engine.routes()) == 2, "the routes are there")
+    stop = threading.Event()
+
+    def talk() -> None:
+        while not stop.wait(0.02):
+            for writer, cdr in writers:
+                worker.side.write(writer, cdr)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    yield worker
+    stop.set()
+    thread.join()
+
+
+@pytest.mark.usefixtures("robot")
+@pytest.mark.parametrize("words", RUN, ids=" ".join)
+def test_the_examples_work(midspan: Midspan, words: list[str]) -> None:
+    done = midspan(*words)
+    assert done.code == 0, done
+    assert done.out or words[:2] == ["topic", "pub"]
+
+
+def test_every_check_is_in_the_documentation() -> None:
+    table = re.findall(r"^\| `([a-z0-9-]+)` \|", (DOCS / "troubleshooting.md").read_text(), re.MULTILINE)
+    assert table == [check.id for check in CHECKS]
