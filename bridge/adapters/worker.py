@@ -92,7 +92,7 @@ class BridgeWorker(Worker):
         if engine is None:
             return Health("waiting", "starting")
         if self._failure:
-            raise TimeoutError(self._failure)
+            raise RuntimeError(self._failure)
         engine.alive()
         summary = engine.summary()
         if self._diagnostics is not None:

@@ -38,7 +38,12 @@ class Worker(ABC):
 
     @abstractmethod
     def health(self) -> Health:
-        """How the worker is, asked of its real loop: raises `TimeoutError` where that loop does not answer in time."""
+        """How the worker is, asked of its real loop.
+
+        Raises:
+            TimeoutError: that loop does not answer in time.
+            RuntimeError: the worker cannot go on; its process ends, and is started again.
+        """
 
     @abstractmethod
     def stop(self) -> None:

@@ -1,7 +1,7 @@
 """The engine of one side: follows both graphs, keeps the routes between them, and reports.
 
-One loop thread owns the routes. It wakes when a graph changes and at least once a second, compares what should be with
-what is, and touches only what differs.
+One loop thread owns the routes. It wakes when a graph changes, compares what should be with what is, and touches only
+what differs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ from bridge.routing.verdict import Verdict
 _log = logging.getLogger(__name__)
 
 _PULSE = 0.1
-_PERIOD = 1.0
+_TICK = 1.0
+_LOOK = 10.0  # a look without being woken, should a change ever go untold
+_RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
 _MAX_TAPS = 100
 
@@ -119,21 +121,25 @@ class Engine:
     # -- the loop ------------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        due = 0.0
+        tick = look = 0.0
         while not self._stopping.is_set():
             self._pulse.beat()
             woken = self._wake.wait(_PULSE)
             now = time.monotonic()
-            if woken or now >= due:
+            if woken or now >= look:
                 self._wake.clear()
-                due = now + _PERIOD
                 try:
                     self._reconcile()
                 except Exception as err:
                     _log.exception("%s: following the graphs failed", self.edge.side)
                     self._on_failure(f"following the graphs failed: {err}")
                     return
+                look = now + (_RETRY if any(v.refused for v in self._verdicts) else _LOOK)
                 self._stopping.wait(_SETTLE)
+            if now >= tick:
+                tick = now + _TICK
+                for route in self.routes():
+                    route.counters.tick()
             self._beat = time.monotonic()
 
     def _reconcile(self) -> None:
@@ -144,8 +150,6 @@ class Engine:
         if network is not None:
             self._follow_side(verdicts)
         self._follow_hub(verdicts)
-        for route in [*self._in.values(), *self._out.values()]:
-            route.counters.tick()
         with self._lock:
             self._verdicts = verdicts
 
