@@ -1,4 +1,4 @@
-"""One roscore for all tests that do not stop it."""
+"""One roscore for the tests of a module that do not stop it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from tests.support.ros1 import RosMaster
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def master() -> Iterator[RosMaster]:
-    """A roscore that stays for the whole session; tests use topic and node names of their own."""
+    """A roscore that stays for the whole module; tests use topic and node names of their own."""
     with RosMaster() as master:
         yield master

@@ -38,9 +38,9 @@ A_THING = {
 }
 
 
-@pytest.fixture
-def edge(master, tmp_path):
-    with edge_on(master, tmp_path) as edge:
+@pytest.fixture(scope="module")
+def edge(master, tmp_path_factory):
+    with edge_on(master, tmp_path_factory.mktemp("state")) as edge:
         yield edge
 
 
