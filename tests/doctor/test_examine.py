@@ -7,6 +7,7 @@ import threading
 from bridge.doctor.checks import CHECKS
 from bridge.doctor.examine import examine
 from bridge.doctor.finding import Check, Result, ok
+from bridge.doctor.parallel import in_parallel
 from tests.doctor.parts import around
 
 
@@ -40,3 +41,17 @@ def test_one_that_hangs_and_one_that_breaks_leave_the_others_alone() -> None:
 def test_ids_are_unique() -> None:
     ids = [check.id for check in CHECKS]
     assert len(set(ids)) == len(ids)
+
+
+def test_outcomes_are_in_the_order_of_the_items() -> None:
+    first = threading.Event()
+
+    def work(item: int) -> int:
+        if item == 0:
+            assert first.wait(10)  # it ends last
+        elif item == 9:
+            first.set()
+        return item * 2
+
+    assert in_parallel(work, list(range(10)), 4) == [item * 2 for item in range(10)]
+    assert in_parallel(work, [], 4) == []

@@ -50,7 +50,7 @@ def look_at_master(around: Around) -> Sequence[Finding]:
     host = urlsplit(uri).hostname or ""
     try:
         addresses = sorted({str(info[4][0]) for info in socket.getaddrinfo(host, None, socket.AF_INET)})
-    except OSError:
+    except (OSError, UnicodeError):
         return [
             fail(
                 f"{uri}: the host name '{host}' does not resolve on this machine",

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ipaddress
 import socket
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 import psutil
@@ -19,6 +18,7 @@ from bridge.adapters.ros1.errors import Ros1Error
 from bridge.doctor.around import Around
 from bridge.doctor.checks.ros1 import why_not
 from bridge.doctor.finding import Finding, fail, ok, skip, warn
+from bridge.doctor.parallel import in_parallel
 
 MAX_NODES = 200
 _CONNECT_SECONDS = 1.0
@@ -71,12 +71,7 @@ def look_at_nodes(around: Around) -> Sequence[Finding]:
         return [skip("the master does not answer")]
     nodes = dict(sorted(look.uris.items())[:MAX_NODES])
     remote = not is_local(urlsplit(around.master).hostname or "")
-    # not as a context: a resolver that hangs must not be waited for
-    pool = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="doctor-nodes")
-    try:
-        troubles = list(pool.map(lambda uri: _trouble(uri, remote=remote), nodes.values()))
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    troubles = in_parallel(lambda uri: _trouble(uri, remote=remote), list(nodes.values()), _AT_ONCE)
     groups: dict[Finding, list[str]] = {}
     for node, trouble in zip(nodes, troubles, strict=True):
         if trouble is not None:
@@ -99,12 +94,8 @@ def _trouble(uri: str, *, remote: bool) -> Finding | None:
             f"the host name '{host}' that they gave does not resolve here",
             f"add '{host}' with its address to /etc/hosts of this machine, or set ROS_IP where they run",
         )
-    if (
-        remote
-        and host != "localhost"
-        and not _is_address(host)
-        and all(ipaddress.ip_address(a).is_loopback for a in addresses)
-    ):
+    named = host != "localhost" and not _is_address(host)
+    if remote and named and all(ipaddress.ip_address(a).is_loopback for a in addresses):
         return fail(
             f"the host name '{host}' that they gave resolves to {', '.join(sorted(addresses))}, this very machine",
             f"correct '{host}' in /etc/hosts of this machine",
@@ -141,7 +132,11 @@ def _announced(around: Around) -> tuple[str, str]:
 
 
 def _resolve(host: str) -> set[str]:
-    return {str(info[4][0]).partition("%")[0] for info in socket.getaddrinfo(host, None)}
+    """Addresses of a host; raises `OSError`."""
+    try:
+        return {str(info[4][0]).partition("%")[0] for info in socket.getaddrinfo(host, None)}
+    except UnicodeError as err:  # a name that cannot be one
+        raise OSError(str(err)) from None
 
 
 def _is_address(host: str) -> bool:
