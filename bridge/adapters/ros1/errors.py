@@ -16,7 +16,15 @@ class Ros1Error(Exception):
 
 
 class UnreachableError(Ros1Error):
-    """A master or node does not answer in time, or not at all."""
+    """A master or node does not answer in time, or not at all.
+
+    Attributes:
+        refused: its machine answers that nobody listens there.
+    """
+
+    def __init__(self, message: str, *, refused: bool = False) -> None:
+        super().__init__(message)
+        self.refused = refused
 
 
 class ProtocolError(Ros1Error):

@@ -12,9 +12,10 @@ import logging
 import os
 import re
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 
-from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
 from bridge.adapters.ros1.graph import Look, Looker
 from bridge.adapters.ros1.node import Node
 from bridge.adapters.ros1.presence import Ledger, Presence, burial, is_alive
@@ -26,6 +27,9 @@ _TIMEOUT = 2.0
 _STOP_TIMEOUT = 0.7
 _RETRY = 0.1
 _FAILURES = 2
+_PATIENCE = 5.0
+"""Seconds that a master on a busy machine may be silent before it counts as away; one that refuses is, at the second."""
+
 _BATCH = 200
 _SPARE_NAMES = 9
 
@@ -48,6 +52,7 @@ class Master:
         self._looker = Looker(self._client, node.name)
         self._run_id: str | None = None
         self._failures = 0
+        self._answered = time.monotonic()
         self._refused: set[str] = set()
         self._wake = threading.Event()
         self._stopping = threading.Event()
@@ -98,7 +103,7 @@ class Master:
             except Ros1Error as err:
                 self._failed(err)
             else:
-                self._failures, self.trouble = 0, ""
+                self._failures, self.trouble, self._answered = 0, "", time.monotonic()
                 self._seen(look)
 
     def _turn(self) -> Look:
@@ -117,10 +122,11 @@ class Master:
 
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
-        self.trouble = str(err)
-        if self._failures == _FAILURES:
-            _log.warning("the ROS 1 master is away: %s", err)
-        if self._failures >= _FAILURES:
+        gone = isinstance(err, UnreachableError) and err.refused and self._failures >= _FAILURES
+        if gone or time.monotonic() - self._answered > _PATIENCE:
+            if not self.trouble:
+                _log.warning("the ROS 1 master is away: %s", err)
+            self.trouble = str(err)
             self._run_id = None
             self._seen(None)
 

@@ -35,6 +35,7 @@ _log = logging.getLogger(__name__)
 _GREETING_SECONDS = 5.0
 _MAX_GREETINGS = 64
 _BACKLOG = 128
+_ACCEPT_PAUSE = 0.5
 
 Changed = Callable[[], None]
 
@@ -80,6 +81,22 @@ class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy 
     def reg_removed(self, _name: str, _type_or_uri: str, _kind: str) -> None:
         """A topic or service was removed here."""
         self._changed()
+
+
+class _Server(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy has no types
+    """rospy's TCPROS server, which outlives a moment without free descriptors."""
+
+    def run(self) -> None:
+        """Accept connections until the server is shut down."""
+        while not self.is_shutdown:
+            try:
+                sock, address = self.server_sock.accept()
+            except OSError as err:
+                if not self.is_shutdown:
+                    _log.warning("a ROS 1 subscriber could not be accepted: %s", err)
+                    time.sleep(_ACCEPT_PAUSE)
+                continue
+            self.inbound_handler(sock, address)
 
 
 class Node:
@@ -158,19 +175,17 @@ class Node:
     def _start_server(self) -> None:
         rospy.impl.tcpros.init_tcpros()
         self._tcpros = rospy.impl.tcpros_base._tcpros_server
-        # rospy greets one peer after the other, without a limit: one that says nothing would keep all others out.
-        self._tcpros._tcp_server_callback = self._greet
-        rospy.impl.tcpros_base.start_tcpros_server()
-        self._tcpros.tcp_ros_server.server_sock.listen(_BACKLOG)
+        server = _Server(self._greet)
+        server.server_sock.listen(_BACKLOG)
+        server.start()
+        self._tcpros.tcp_ros_server = server
 
     def _greet(self, sock: socket.socket, address: Any) -> None:
+        """Hear each peer on a thread: rospy hears one after the other, so a silent one would keep all others out."""
         if not self._greetings.acquire(blocking=False):
             sock.close()
             return
-        thread = threading.Thread(
-            target=self._greeting, args=(sock, address), name="midspan-ros1-greeting", daemon=True
-        )
-        thread.start()
+        threading.Thread(target=self._greeting, args=(sock, address), name="midspan-ros1-greet", daemon=True).start()
 
     def _greeting(self, plain: socket.socket, address: Any) -> None:
         sock = DeadlineSocket(fileno=plain.detach())

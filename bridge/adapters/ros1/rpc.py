@@ -103,7 +103,7 @@ class RpcClient:
             msg = f"{self.uri} does not answer: {str(err) or type(err).__name__}"
             if isinstance(err, http.client.HTTPException):
                 raise ProtocolError(msg) from None
-            raise UnreachableError(msg) from None
+            raise UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError)) from None
         if self._last is not None and self._last[0] == body and self._last[1] == answer:
             return self._last[2]
         value = self._parse(answer)

@@ -43,6 +43,11 @@ class _Entry(_TopicImpl):  # type: ignore[misc]  # rospy has no types
     def __init__(self, topic: str) -> None:
         super().__init__(topic, rospy.AnyMsg)
         self.resolved_name = self.name = topic
+        # rospy spends an epoll descriptor per topic on broken connections; our readers notice these themselves.
+        self.connection_poll.poller.close()
+
+    def check(self) -> None:
+        """Nothing to look for; see the constructor."""
 
     def get_stats(self) -> tuple[str, list[tuple[str, int, int, int, bool]]]:
         """The answer to ``getBusStats``."""

@@ -1,0 +1,86 @@
+"""Looks at a master's state."""
+
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.graph import Link, Looker
+from bridge.adapters.ros1.rpc import RpcClient
+from tests.adapters.ros1.servers import node
+
+
+class Master:
+    """A master's API with a state that a test sets."""
+
+    def __init__(self) -> None:
+        self.nodes = {"/a": "http://a:1/"}
+        self.publishers = [["/topic", ["/a"]]]
+        self.run_id: list[Any] = [1, "", "run"]
+        self.presence: list[Any] = [-1, "not set", 0]
+        self.at_end: Callable[[], None] = lambda: None
+
+    def uri(self, _caller: str) -> list[Any]:
+        """The last question of a look that knows of no nodes yet."""
+        self.at_end()
+        return [1, "", "http://master:11311/"]
+
+    def lookup(self, _caller: str, name: str) -> list[Any]:
+        return [1, "", self.nodes[name]] if name in self.nodes else [-1, "unknown node", ""]
+
+    def methods(self) -> dict[str, Any]:
+        return {
+            "getSystemState": lambda _: [1, "", [self.publishers, [["/topic", ["/b"]]], [["/serve", ["/a"]]]]],
+            "getTopicTypes": lambda _: [1, "", [["/topic", "std_msgs/String"]]],
+            "getParam": lambda _, key: self.run_id if key == "/run_id" else self.presence,
+            "getPid": lambda _: [1, "", 42],
+            "getUri": self.uri,
+            "lookupNode": self.lookup,
+        }
+
+
+@pytest.fixture
+def master():
+    return Master()
+
+
+@pytest.fixture
+def looker(master):
+    with node(**master.methods()) as uri:
+        client = RpcClient(uri, 5.0)
+        with contextlib.closing(client):
+            yield Looker(client, "/me")
+
+
+def test_a_look(master, looker):
+    look = looker.look()
+    assert (look.network, look.run) == ("run", "run#42")
+    assert look.publishers == {Link("/a", "/topic", "http://a:1/")}
+    assert look.subscribers == {Link("/b", "/topic", "")}
+    assert (look.services, look.types) == ({"/serve": "/a"}, {"/topic": "std_msgs/String"})
+    assert look.presence == {}
+    assert looker.look() is look
+    master.presence = [1, "", {"midspan": {"pid": 1}, "odd": 3}]
+    assert looker.look().presence == {"midspan": {"pid": 1}}
+
+
+def test_a_master_without_a_run_id(master, looker):
+    master.run_id = [-1, "not set", 0]
+    assert looker.look().network == "http://master:11311/#42"
+
+
+def test_a_node_that_comes_during_the_look(master, looker):
+    def arrive() -> None:
+        master.nodes["/late"] = "http://late:1/"
+        master.publishers = [["/topic", ["/a", "/late"]]]
+
+    master.at_end = arrive
+    looker.look()
+    assert Link("/late", "/topic", "http://late:1/") in looker.look().publishers
+
+
+def test_a_node_that_moved(master, looker):
+    looker.look()
+    master.nodes["/a"] = "http://a:2/"
+    assert looker.look().publishers == {Link("/a", "/topic", "http://a:2/")}
