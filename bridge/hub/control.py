@@ -6,6 +6,7 @@ A worker answers on ``@midspan/<domain>/<daemon>/<worker>/<verb>``. The answer i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import queue
@@ -64,12 +65,18 @@ class Control:
             try:
                 self._pending.put_nowait((handler, key, query))
             except queue.Full:
-                _reply(query, key, {"error": "too many questions at once; ask again later"})
+                _reply(query, key, _error("too many questions at once; ask again later"))
 
         queryable = self._session.declare_queryable(
             key, zenoh.handlers.Callback(enqueue, indirect=False), complete=True
         )
-        return lambda: queryable.undeclare()  # type: ignore[no-untyped-call]
+
+        def close() -> None:
+            # zenoh raises where it is undeclared already
+            with contextlib.suppress(zenoh.ZError):
+                queryable.undeclare()  # type: ignore[no-untyped-call]
+
+        return close
 
     def ask(self, verb: str, params: dict[str, Any], daemon: str, worker: str, timeout: float) -> list[Answer]:
         """Ask all who answer a verb; returns when all did, or after ``timeout`` seconds."""
@@ -100,15 +107,19 @@ class Control:
             _reply(query, key, _answer(handler, query))
 
 
-def _answer(handler: Handler, query: zenoh.Query) -> dict[str, Any]:
+def _answer(handler: Handler, query: zenoh.Query) -> bytes:
     try:
-        return {"value": handler(_params(query))}
+        return json.dumps({"value": handler(_params(query))}).encode()
     except HubError as err:
-        return {"error": str(err)}
+        return _error(str(err))
     except Exception as err:
         # whatever the handler met, the asker is told and the thread lives on
         _log.warning("question %s failed", query.key_expr, exc_info=True)
-        return {"error": str(err) or type(err).__name__}
+        return _error(str(err) or type(err).__name__)
+
+
+def _error(text: str) -> bytes:
+    return json.dumps({"error": text}).encode()
 
 
 def _params(query: zenoh.Query) -> dict[str, Any]:
@@ -128,12 +139,12 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
     return params
 
 
-def _reply(query: zenoh.Query, key: str, answer: dict[str, Any]) -> None:
+def _reply(query: zenoh.Query, key: str, answer: bytes) -> None:
     try:
         with query:
-            query.reply(key, json.dumps(answer).encode())
-    except (zenoh.ZError, TypeError, ValueError):
-        _log.warning("question %s could not be answered", query.key_expr, exc_info=True)
+            query.reply(key, answer)
+    except zenoh.ZError as err:
+        _log.debug("nobody waits for %s any more: %s", key, err)
 
 
 def _read(sample: zenoh.Sample) -> Answer:

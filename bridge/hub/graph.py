@@ -96,16 +96,15 @@ class HubGraph:
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
         self._zids: dict[bytes, str] = {}
+        self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
         self.refused = 0
-        liveliness = session.liveliness()
-        # the origins first, so that their history comes before the endpoints'
+        self._liveliness = session.liveliness()
         self._subscribers = [
-            liveliness.declare_subscriber(key, zenoh.handlers.Callback(handler, indirect=False), history=True)
-            for key, handler in (
-                (f"{MIDSPAN_SPACE}/{domain}/origin/**", self._on_origin),
-                (f"{ADMIN_SPACE}/{domain}/**", self._on_token),
+            self._liveliness.declare_subscriber(
+                key, zenoh.handlers.Callback(self._on_sample, indirect=False), history=True
             )
+            for key in (f"{MIDSPAN_SPACE}/{domain}/origin/**", f"{ADMIN_SPACE}/{domain}/**")
         ]
 
     def endpoints(self) -> list[HubEndpoint]:
@@ -181,44 +180,76 @@ class HubGraph:
             known = self._endpoints if topic is None else self._topics.get(topic, {})
             return [endpoint for endpoint in known.values() if endpoint.kind is kind]
 
-    def _on_token(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
-        if sample.kind == zenoh.SampleKind.DELETE:
-            with self._lock:
-                changed = self._forget(key)
-        else:
-            try:
-                token = parse_token(key)
-            except WireError as err:
-                self._refuse(key, str(err))
-                return
-            with self._lock:
-                changed = self._learn(key, token)
+    def announce(self, key: str) -> Callable[[], None]:
+        """Declare a token of this session's own, until the returned function is called."""
+        self._own[key] = self._liveliness.declare_token(key)
+        # own tokens are not taken from zenoh, which forgets a client's when it loses its router
+        with self._lock:
+            changed = self._put_token(key)
         self._tell(changed)
 
-    def _on_origin(self, sample: zenoh.Sample) -> None:
+        def withdraw() -> None:
+            with self._lock:
+                changed = self._delete_token(key)
+                token = self._own.pop(key, None)
+            if token is not None:
+                token.undeclare()  # type: ignore[no-untyped-call]
+            self._tell(changed)
+
+        return withdraw
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
+        if f"/{self._zid}/" in key:
+            return
+        with self._lock:
+            changed = self._delete_token(key) if sample.kind == zenoh.SampleKind.DELETE else self._put_token(key)
+        self._tell(changed)
+
+    def _put_token(self, key: str) -> bool:
         try:
+            if not key.startswith(MIDSPAN_SPACE):
+                return self._learn(key, parse_token(key))
             token = parse_origin(key)
         except WireError as err:
             self._refuse(key, str(err))
-            return
-        with self._lock:
-            tokens = self._origin_tokens.setdefault(token.zid, {})
-            tokens.pop(key, None)
-            if sample.kind != zenoh.SampleKind.DELETE and len(self._origin_tokens) <= self._max_tokens:
-                tokens[key] = token.origin
-            # the newest of a session's origins holds; a replaced one goes right after
-            if tokens:
-                self._origins[token.zid] = next(reversed(tokens.values()))
-            else:
-                del self._origin_tokens[token.zid]
-                self._origins.pop(token.zid, None)
-            for endpoint_key in self._sessions.get(token.zid, ()):
-                endpoint = self._endpoints.get(endpoint_key)
-                if endpoint is not None:
-                    self._place(endpoint_key, endpoint)
-        self._tell(changed=True)
+            return False
+        if token.zid not in self._origin_tokens and len(self._origin_tokens) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} origins")
+            return False
+        tokens = self._origin_tokens.setdefault(token.zid, {})
+        # the newest of a session's origins holds; the one that it replaces goes right after
+        tokens.pop(key, None)
+        tokens[key] = token.origin
+        self._settle(token.zid, token.origin)
+        return True
+
+    def _delete_token(self, key: str) -> bool:
+        if not key.startswith(MIDSPAN_SPACE):
+            return self._forget(key)
+        try:
+            zid = parse_origin(key).zid
+        except WireError:
+            return False
+        tokens = self._origin_tokens.get(zid, {})
+        if tokens.pop(key, None) is None:
+            return False
+        if tokens:
+            self._settle(zid, next(reversed(tokens.values())))
+        else:
+            del self._origin_tokens[zid]
+            self._settle(zid, None)
+        return True
+
+    def _settle(self, zid: str, origin: Origin | None) -> None:
+        if origin is None:
+            self._origins.pop(zid, None)
+        else:
+            self._origins[zid] = origin
+        for key in self._sessions.get(zid, ()):
+            endpoint = self._endpoints.get(key)
+            if endpoint is not None:
+                self._place(key, endpoint)
 
     def _learn(self, key: str, token: NodeToken | EndpointToken) -> bool:
         owner = token if isinstance(token, NodeToken) else token.owner

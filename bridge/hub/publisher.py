@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from enum import Enum
 from threading import Lock
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from zenoh import ext
 
 from bridge.hub import attachment
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
+from bridge.hub.graph import HubGraph
 from bridge.hub.liveliness import gid_of
 from bridge.hub.qos import History, Qos, Reliability
 
@@ -109,11 +111,11 @@ class PublisherOptions:
     must not delay the others. What a latched publisher lost so, a latched subscription recovers from its cache.
     """
 
-    def __init__(self, qos: Qos, priority: str, *, express: bool) -> None:
+    def __init__(self, qos: Qos, priority: str, express: bool | None) -> None:
         blocks = qos.reliability is Reliability.RELIABLE and qos.history is History.KEEP_ALL
         self.congestion = zenoh.CongestionControl.BLOCK if blocks else zenoh.CongestionControl.DROP
         self.priority: zenoh.Priority = Priority[priority.upper()].value
-        self.express = express
+        self.express = self.priority == Priority.COMMAND.value if express is None else express
 
 
 def cache_depth(qos: Qos) -> int:
@@ -130,17 +132,27 @@ class HubPublisher:
     """
 
     def __init__(
-        self, session: zenoh.Session, token: str, key: str, topic: str, qos: Qos, options: PublisherOptions, limit: int
+        self,
+        session: zenoh.Session,
+        graph: HubGraph,
+        token: str,
+        key: str,
+        topic: str,
+        qos: Qos,
+        options: PublisherOptions,
+        limit: int,
+        on_close: Callable[[HubPublisher], None],
     ) -> None:
         self.topic = topic
         self.gid = gid_of(token)
         self._limit = limit
+        self._on_close = on_close
         self._lock = Lock()
         self._sequence = 0
         self._sink: _Sink | None = (
             _LatchedSink(session, key, options, qos) if qos.latched else _PlainSink(session, key, options)
         )
-        self._token = session.liveliness().declare_token(token)
+        self._withdraw = graph.announce(token)
 
     def put(self, payload: bytes, source_time_ns: int | None = None) -> None:
         """Publish CDR bytes, encapsulation header first.
@@ -181,5 +193,6 @@ class HubPublisher:
         with self._lock:
             sink, self._sink = self._sink, None
         if sink is not None:
-            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._withdraw()
             sink.close()
+            self._on_close(self)

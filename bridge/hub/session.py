@@ -99,11 +99,12 @@ class Hub:
         self._lock = RLock()
         self._closed = False
         self._ids = itertools.count(1)
-        self._origin: tuple[Origin, zenoh.LivelinessToken] | None = None
+        self._endpoints: set[HubPublisher | HubSubscription] = set()
+        self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
         self._control = Control(session, settings.domain, settings.daemon, settings.worker)
-        self._node_token = session.liveliness().declare_token(node_key(self._node))
+        self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
 
@@ -129,9 +130,9 @@ class Hub:
                 self._origin = None
             else:
                 key = origin_key(OriginToken(self.domain, self.zid, origin))
-                self._origin = (origin, self._session.liveliness().declare_token(key))
+                self._origin = (origin, self.graph.announce(key))
             if before is not None:
-                before[1].undeclare()  # type: ignore[no-untyped-call]
+                before[1]()
 
     def publisher(
         self,
@@ -141,9 +142,9 @@ class Hub:
         qos: Qos,
         *,
         priority: str = "stream",
-        express: bool = True,
+        express: bool | None = None,
     ) -> HubPublisher:
-        """Make a publisher.
+        """Make a publisher; it lives until it or the session is closed.
 
         Args:
             topic: absolute name.
@@ -151,20 +152,24 @@ class Hub:
             type_hash: RIHS01.
             qos: latched or not, and how many samples are kept.
             priority: ``command``, ``state`` or ``stream``.
-            express: send each sample at once instead of gathering several in one packet.
+            express: send each sample in a packet of its own; default for commands only. A burst of samples that may
+                share packets is not slower, and is not lost where the machine is busy.
         """
         with self._lock:
             self._check_open()
             key = topic_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
-            options = PublisherOptions(qos, priority, express=express)
+            options = PublisherOptions(qos, priority, express)
             limit = self._settings.max_payload
-            return HubPublisher(self._session, token, key, topic, qos, options, limit)
+            drop = self._endpoints.discard
+            publisher = HubPublisher(self._session, self.graph, token, key, topic, qos, options, limit, drop)
+            self._endpoints.add(publisher)
+            return publisher
 
     def subscription(
         self, topic: str, type_name: str, type_hash: str, qos: Qos, callback: Callable[[HubSample], None]
     ) -> HubSubscription:
-        """Make a subscription.
+        """Make a subscription; it lives until it or the session is closed.
 
         Args:
             topic: absolute name.
@@ -179,7 +184,10 @@ class Hub:
             key = subscription_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
             limit = self._settings.max_payload
-            return HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback)
+            drop = self._endpoints.discard
+            subscription = HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback, drop)
+            self._endpoints.add(subscription)
+            return subscription
 
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
         """Answer a verb of the control plane for this daemon and worker, until the returned function is called."""
@@ -201,6 +209,9 @@ class Hub:
                 return
             self._closed = True
         atexit.unregister(self.close)
+        # the endpoints leave the graph before the origin and the node do
+        for endpoint in tuple(self._endpoints):
+            endpoint.close()
         self.graph.close()
         self._control.close()
         self._session.close()  # type: ignore[no-untyped-call]

@@ -19,6 +19,9 @@ MAX_PAYLOAD = 256 << 20
 LEASE_MS = 3000
 """A session that fell silent is given up after this time; four keep-alives are sent in it."""
 
+_PRIORITIES = ("interactive_high", "data_high", "data")
+"""Queues of each link that Midspan's samples use. Their default length of 2 packets loses samples of a short burst."""
+
 POOL = 16 << 20
 """Bytes of shared memory that one session may use; the workers of one machine fit a /dev/shm of 64 MB."""
 
@@ -109,7 +112,7 @@ def _common_tree(max_payload: int) -> Tree:
         "timestamping": {"enabled": True},
         "transport": {
             "link": {
-                "tx": {"lease": LEASE_MS, "keep_alive": 4},
+                "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": {"size": dict.fromkeys(_PRIORITIES, 16)}},
                 "rx": {"max_message_size": max_payload + 65536},
             },
         },

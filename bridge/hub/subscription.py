@@ -86,6 +86,7 @@ class HubSubscription:
         qos: Qos,
         limit: int,
         callback: Callable[[HubSample], None],
+        on_close: Callable[[HubSubscription], None],
     ) -> None:
         self.topic = topic
         self.lost = 0
@@ -94,6 +95,7 @@ class HubSubscription:
         self._own = str(session.zid())
         self._limit = limit
         self._callback = callback
+        self._on_close = on_close
         self._sources: dict[bytes, _Source] = {}
         self._lock = Lock()
         self._closed = False
@@ -113,15 +115,16 @@ class HubSubscription:
             )
         else:
             self._subscriber = session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
-        self._token = session.liveliness().declare_token(token)
+        self._withdraw = graph.announce(token)
 
     def close(self) -> None:
         """Hear no more. Safe to call twice."""
         with self._lock:
             closed, self._closed = self._closed, True
         if not closed:
-            self._token.undeclare()  # type: ignore[no-untyped-call]
+            self._withdraw()
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._on_close(self)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if self._closed or sample.kind != zenoh.SampleKind.PUT:

@@ -1,0 +1,91 @@
+"""Questions and answers between Midspan's own programs."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+
+from bridge.hub.control import Answer
+from bridge.hub.session import Hub
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+def test_all_who_know_a_verb_answer(network: HubNetwork):
+    with (
+        Hub.open(network.settings("a", worker="ros1", daemon="robot1")) as a,
+        Hub.open(network.settings("b", worker="ros2", daemon="robot1")) as b,
+        Hub.open(network.settings("c", worker="ros1", daemon="robot2")) as c,
+        Hub.open(network.settings("cli")) as cli,
+    ):
+        for number, hub in enumerate((a, b, c)):
+            hub.serve("twice", lambda params, number=number: {"number": number, "value": 2 * params["value"]})
+        until(lambda: len(cli.graph.nodes()) == 4, "all linked")
+        until(lambda: len(cli.ask("twice", {"value": 21})) == 3, "all answer")
+        answers = {(x.daemon, x.worker): x for x in cli.ask("twice", {"value": 21})}
+        assert answers[("robot1", "ros2")] == Answer("robot1", "ros2", {"number": 1, "value": 42})
+        assert set(answers) == {("robot1", "ros1"), ("robot1", "ros2"), ("robot2", "ros1")}
+        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, daemon="robot2")] == [2]
+        assert [x.value["number"] for x in cli.ask("twice", {"value": 1}, worker="ros2")] == [1]
+        assert cli.ask("twice", {"value": 1}, daemon="nobody", timeout=0.5) == []
+        assert cli.ask("unknown", {}, timeout=0.5) == []
+
+
+def fails(_params: dict[str, Any]) -> object:
+    msg = "out of order"
+    raise RuntimeError(msg)
+
+
+@pytest.mark.parametrize(
+    ("handler", "error"), [(fails, "out of order"), (lambda params: params["no"], "'no'")], ids=["raises", "key"]
+)
+def test_what_goes_wrong_is_told(network: HubNetwork, handler: Any, error: str):
+    with Hub.open(network.settings("a")) as a:
+        a.serve("verb", handler)
+        a.serve("fine", lambda _params: [1])
+        assert a.ask("verb", {}) == [Answer("test", "test", None, error)]
+        assert a.ask("fine", {}) == [Answer("test", "test", [1])]
+
+
+def test_an_answer_that_json_cannot_carry_leaves_the_others_answering(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a:
+        a.serve("verb", lambda _params: {1, 2})
+        a.serve("fine", lambda _params: 1)
+        assert [x.error != "" for x in a.ask("verb", {})] == [True]
+        assert [x.value for x in a.ask("fine", {})] == [1]
+
+
+@pytest.mark.parametrize("question", [b"\xff", b"[1]", b"{", b"x" * (2 << 20)])
+def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        a.serve("verb", lambda _params: 1)
+        key = f"@midspan/{a.domain}/test/test/verb"
+        until(lambda: b.ask("verb", {}), "reachable")
+        (reply,) = b._session.get(key, payload=question, timeout=5)
+        assert b"error" in reply.ok.payload.to_bytes()
+        assert [x.value for x in b.ask("verb", {})] == [1]
+
+
+def test_a_slow_answer_does_not_hold_up_samples_or_other_verbs(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a:
+        go = threading.Event()
+        a.serve("slow", lambda _params: go.wait(10))
+        a.serve("quick", lambda _params: "here")
+        slow: list[list[Answer]] = []
+        asker = threading.Thread(target=lambda: slow.append(a.ask("slow", {}, timeout=10)))
+        asker.start()
+        assert [x.value for x in a.ask("quick", {})] == ["here"]
+        go.set()
+        asker.join()
+        assert [x.value for x in slow[0]] == [True]
+
+
+def test_the_returned_function_ends_it(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a:
+        stop = a.serve("verb", lambda _params: 1)
+        assert a.ask("verb", {})
+        stop()
+        stop()
+        assert a.ask("verb", {}, timeout=0.5) == []

@@ -1,0 +1,169 @@
+"""Latched publishers: what they said last, for each of them, goes to whoever comes late."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from bridge.hub.qos import History, Qos
+from bridge.hub.session import Hub
+from tests.hub.parts import BEST_EFFORT_LATCHED, LATCHED, STREAM, Heard, matched, see_each_other, talk
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+EACH_LATCHED = pytest.mark.parametrize("qos", [LATCHED, BEST_EFFORT_LATCHED], ids=["reliable", "best effort"])
+
+
+@EACH_LATCHED
+def test_three_publishers_of_one_session_and_late_joiners(network: HubNetwork, qos: Qos):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publishers = [talk(a, "/map", qos, "old", name) for name in ("one", "two", "three")]
+        for joiner in (Heard(b, "/map", qos), Heard(b, "/map", qos, type_hash="*")):
+            joiner.wait("one", "two", "three")
+            assert {s.gid for s in joiner.samples} == {p.gid for p in publishers}
+            assert {s.zid for s in joiner.samples} == {a.zid}
+            assert joiner.subscription.lost == 0
+        with Hub.open(network.settings("c")) as c:
+            Heard(c, "/map", qos).wait("one", "two", "three")
+
+
+@EACH_LATCHED
+def test_three_publishers_of_several_sessions(network: HubNetwork, qos: Qos):
+    with (
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+        Hub.open(network.settings("c")) as c,
+    ):
+        see_each_other(a, b, c)
+        first = Heard(c, "/map", qos)
+        talks = [talk(a, "/map", qos, "one"), talk(a, "/map", qos, "two"), talk(b, "/map", qos, "three")]
+        first.wait("one", "two", "three")
+        Heard(c, "/map", qos).wait("one", "two", "three")
+        assert len({p.gid for p in talks}) == 3
+
+
+@EACH_LATCHED
+def test_a_publisher_that_leaves_takes_its_message_along(network: HubNetwork, qos: Qos):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publishers = [talk(a, "/map", qos, name) for name in ("one", "two", "three")]
+        Heard(b, "/map", qos).wait("one", "two", "three")
+        publishers[1].close()
+        until(lambda: len(b.graph.publishers("/map")) == 2, "it left")
+        Heard(b, "/map", qos).wait("one", "three")
+
+
+def test_a_session_that_leaves_takes_its_messages_along(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        talk(a, "/map", LATCHED, "stays")
+        with Hub.open(network.settings("c")) as c:
+            gone = talk(c, "/map", LATCHED, "goes")
+            Heard(b, "/map", LATCHED).wait("stays", "goes")
+            assert gone.gid != bytes(16)
+        until(lambda: len(b.graph.publishers("/map")) == 1, "it left")
+        Heard(b, "/map", LATCHED).wait("stays")
+
+
+def test_publishers_that_come_after_the_subscription(network: HubNetwork):
+    with Hub.open(network.settings("b")) as b:
+        early = Heard(b, "/map", LATCHED)
+        with Hub.open(network.settings("a")) as a:
+            kept = [talk(a, "/map", LATCHED, name) for name in ("one", "two")]
+            early.wait("one", "two")
+            kept[0].put(b"three")
+            early.wait("one", "two", "three")
+            Heard(b, "/map", LATCHED).wait("two", "three")
+
+
+def test_history_and_live_without_a_gap_or_a_double(network: HubNetwork):
+    """A subscription joins while its publisher goes on; what it hears is one unbroken run to the end.
+
+    zenoh leaves out the older part of a longer history where a live sample comes before it.
+    """
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        deep = replace(LATCHED, depth=200)
+        publisher = talk(a, "/map", deep, *(str(n) for n in range(100)))
+        joiners = []
+        for number in range(100, 200):
+            publisher.put(str(number).encode())
+            if number % 20 == 0:
+                joiners.append((number, Heard(b, "/map", deep)))
+        for number, joiner in joiners:
+            until(lambda joiner=joiner: joiner.samples and joiner.texts()[-1] == "199", "the last is heard")
+            first = int(joiner.texts()[0])
+            assert first <= number + 1
+            assert joiner.texts() == [str(n) for n in range(first, 200)]
+            assert joiner.subscription.lost == 0
+
+
+@pytest.mark.parametrize(("published", "asked", "expected"), [(3, 10, 3), (10, 2, 2), (10, 10, 5)])
+def test_depth(network: HubNetwork, published: int, asked: int, expected: int):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        texts = [str(n) for n in range(5)]
+        kept = talk(a, "/map", replace(LATCHED, depth=published), *texts)
+        heard = Heard(b, "/map", replace(LATCHED, depth=asked))
+        heard.wait(*texts[-expected:])
+        assert heard.texts() == texts[-expected:]
+        assert kept.matched()
+
+
+def test_keep_all_keeps_many(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        every = Qos(LATCHED.reliability, LATCHED.durability, History.KEEP_ALL, depth=1)
+        texts = [str(n) for n in range(300)]
+        publisher = talk(a, "/map", every, *texts)
+        heard = Heard(b, "/map", every)
+        heard.wait(*texts)
+        assert heard.texts() == texts
+        assert publisher.matched()
+
+
+def test_own_latched_messages_are_not_heard(network: HubNetwork):
+    """Zenoh's locality does not hold for caches; the hub's does."""
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        own = talk(a, "/map", LATCHED, "own")
+        talk(b, "/map", LATCHED, "other")
+        heard = Heard(a, "/map", LATCHED)
+        heard.wait("other")
+        own.put(b"more")
+        Heard(b, "/map", LATCHED).wait("more")
+        talk(b, "/map", LATCHED, "last")
+        heard.wait("other", "last")
+
+
+def test_volatile_subscriptions_hear_latched_publishers_from_now_on(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publisher = talk(a, "/map", LATCHED, "past")
+        heard = Heard(b, "/map", STREAM)
+        matched(publisher)
+        publisher.put(b"now")
+        heard.wait("now")
+        assert heard.samples[0].zid == a.zid
+
+
+def test_latched_subscriptions_hear_volatile_publishers(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        publisher = talk(a, "/map", STREAM, "past")
+        heard = Heard(b, "/map", LATCHED)
+        matched(publisher)
+        publisher.put(b"one")
+        publisher.put(b"two")
+        heard.wait("one", "two")
+
+
+def test_a_big_latched_message(network: HubNetwork):
+    with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        payload = "x" * 5_000_000
+        publisher = talk(a, "/map", LATCHED, payload)
+        for _ in range(3):
+            Heard(b, "/map", LATCHED).wait(payload)
+        assert publisher.matched()

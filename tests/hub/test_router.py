@@ -1,0 +1,161 @@
+"""The router: started, found out about, gone and come back."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+
+import pytest
+import zenoh
+
+from bridge.config.model import Config
+from bridge.hub.errors import HubConfigError
+from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
+from bridge.hub.session import Hub
+from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
+from tests.hub.parts import LATCHED, Heard, matched, see_each_other, talk
+from tests.support.hub import HubNetwork
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+
+def router_config(endpoint: str, router: object = "auto", **more: object) -> Config:
+    return Config.model_validate({"name": "robot1", "hub": {"listen": endpoint, "router": router, **more}})
+
+
+def test_it_runs_and_says_how_it_is():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    before = set(threading.enumerate())
+    worker = RouterWorker()
+    worker.start(router_config(endpoint))
+    try:
+        assert worker.health().state == "running"
+        with Hub.open(HubNetwork(run=False).settings("a", router=endpoint)) as hub:
+            until(lambda: hub.ask("status", {}, worker="router", timeout=0.5), "it answers")
+            (answer,) = hub.ask("status", {}, worker="router")
+            assert answer.daemon == "robot1"
+            assert (answer.value["state"], answer.value["sessions"]) == ("running", 1)
+            assert worker.health().text.startswith("1 session")
+        assert worker.reload(router_config(endpoint))
+        assert not worker.reload(router_config(endpoint, router=True))
+    finally:
+        worker.stop()
+        worker.stop()
+    assert not port_held(endpoint)
+    assert set(threading.enumerate()) == before
+
+
+def test_probe_tells_who_is_there():
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    assert probe_router(endpoint) is None
+    with HubNetwork() as network:
+        found = probe_router(network.endpoint)
+        assert found is not None
+        assert (found.mode, found.daemon, found.pid > 0) == ("router", "test", True)
+    tree = session_tree(None, shared_memory=False, max_payload=MAX_PAYLOAD)
+    for mode in ("router", "peer"):
+        config = make_config(tree, {"mode": mode, "listen": {"endpoints": [endpoint]}})
+        with zenoh.open(config) as stranger:
+            assert probe_router(endpoint) == RouterInfo(endpoint, str(stranger.zid()), mode)
+
+
+def test_a_second_router_is_refused_or_stands_by():
+    network = HubNetwork()
+    with network:
+        with pytest.raises(RuntimeError, match="is held by the router of Midspan daemon test"):
+            RouterWorker().start(router_config(network.endpoint, router=True))
+        standby = RouterWorker()
+        standby.start(router_config(network.endpoint))
+        try:
+            health = standby.health()
+            assert (health.state, "daemon test" in health.text) == ("standby", True)
+            network.stop_router()
+            until(lambda: standby.health().state == "running", "it takes over")
+            found = probe_router(network.endpoint)
+            assert found is not None
+            assert found.daemon == "robot1"
+        finally:
+            standby.stop()
+
+
+@pytest.mark.parametrize("router", [True, "auto"])
+def test_a_port_that_something_else_holds_is_refused(router: object):
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        endpoint = f"tcp/127.0.0.1:{holder.getsockname()[1]}"
+        with pytest.raises(RuntimeError, match="held by a program that does not speak zenoh; set hub"):
+            RouterWorker().start(router_config(endpoint, router))
+
+
+@pytest.mark.parametrize(
+    ("hub", "reason"),
+    [
+        ({"listen": "tcp/192.0.2.1:7999"}, "cannot listen on tcp/192.0.2.1:7999"),
+        ({"listen": "nonsense/127.0.0.1:7999"}, "nonsense"),
+        ({"router_zenoh": {"nonsense": 1}}, "hub.router_zenoh: .*nonsense"),
+    ],
+)
+def test_what_cannot_be_listened_on_is_refused(hub: dict[str, object], reason: str):
+    config = {"name": "robot1", "hub": {"listen": f"tcp/127.0.0.1:{free_port()}", **hub}}
+    with pytest.raises(RuntimeError, match=reason) as refused:
+        RouterWorker().start(Config.model_validate(config))
+    assert ".rs:" not in str(refused.value)
+
+
+def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
+    network = HubNetwork(run=False)
+    with network:
+        start = time.monotonic()
+        with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+            heard = Heard(b, "/map", LATCHED)
+            talk(a, "/map", LATCHED, "x")
+            # a bound for hanging, not a measurement
+            assert time.monotonic() - start < 5
+            assert [n.node for n in a.graph.nodes()] == ["a"]
+            network.start_router()
+            see_each_other(a, b)
+            heard.wait("x")
+
+
+def test_a_restarted_router_is_joined_again():
+    with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        heard = Heard(b, "/map", LATCHED)
+        publisher = talk(a, "/map", LATCHED, "one")
+        heard.wait("one")
+        network.stop_router()
+        # the direct link goes on
+        publisher.put(b"two")
+        heard.wait("one", "two")
+        network.start_router()
+        with Hub.open(network.settings("c")) as c:
+            see_each_other(a, b, c)
+            Heard(c, "/map", LATCHED).wait("two")
+
+
+def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
+    client = {"mode": "client"}
+    with (
+        HubNetwork(zenoh=client) as network,
+        Hub.open(network.settings("a")) as a,
+        Hub.open(network.settings("b")) as b,
+    ):
+        see_each_other(a, b)
+        heard = Heard(b, "/map", LATCHED)
+        publisher = talk(a, "/map", LATCHED, "one")
+        heard.wait("one")
+        network.stop_router()
+        until(lambda: len(a.graph.nodes()) == 1, "they lost each other")
+        network.start_router()
+        see_each_other(a, b)
+        matched(publisher)
+        publisher.put(b"two")
+        until(lambda: "two" in heard.texts(), "the data is back")
+        assert heard.texts().count("one") == heard.texts().count("two") == 1
+
+
+def test_a_bad_configuration_is_refused():
+    with pytest.raises(HubConfigError, match="nonsense"):
+        Hub.open(HubNetwork(zenoh={"nonsense": 1}, run=False).settings("a"))
