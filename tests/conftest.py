@@ -30,7 +30,9 @@ def _processes() -> dict[object, str]:
 
 
 def _threads() -> dict[object, str]:
-    return {t: f"thread {t.name}" for t in threading.enumerate() if t is not threading.main_thread()}
+    # Python's stand-ins for threads of zenoh's, which belong to the process and not to a session
+    real = [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
+    return {t: f"thread {t.name}" for t in real if t is not threading.main_thread()}
 
 
 def pytest_sessionstart() -> None:
