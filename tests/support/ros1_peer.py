@@ -2,7 +2,8 @@
 
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
-(rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names.
+(rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
+``log`` text: to /rosout.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: ros1_peer.py NODE
@@ -148,6 +149,10 @@ class Peer:
         for topic, name in master.getTopicTypes():
             types.setdefault(topic, []).append(name)
         return {"topics": types, "publishers": dict(publishers), "subscriptions": dict(subscribers)}
+
+    def do_log(self, text, **_):
+        rospy.loginfo(text)
+        return {}
 
     def do_parameters(self, **_):
         return {"names": rosgraph.Master(rospy.get_name()).getParamNames()}

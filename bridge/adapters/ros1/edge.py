@@ -72,6 +72,8 @@ class Ros1Edge(Edge):
 
     def start(self, listener: EdgeListener) -> None:
         """Put our node up and begin to look for the master; see `Edge.start`."""
+        for logger in ("rospy", "rosout", "xmlrpc"):
+            logging.getLogger(logger).setLevel(logging.WARNING)
         from bridge.adapters.ros1.master import Master
         from bridge.adapters.ros1.node import Node
 
@@ -169,6 +171,8 @@ class Ros1Edge(Edge):
     def _seen(self, look: Look | None) -> None:
         """One look at the master; called on its thread."""
         assert self._node is not None
+        if self._stopped:
+            return
         changed = look is not self._look
         self._look = look
         publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()

@@ -141,12 +141,17 @@ def _set_address(env: dict[str, str], config: Config) -> None:
 
 
 def is_local(host: str) -> bool:
-    """Whether a master's host is this machine by its loopback name or address."""
+    """Whether a master's host leads to this machine's loopback alone, so that no other machine can be meant to join."""
     if host == "localhost":
         return True
     with contextlib.suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
-    return host == socket.gethostname()
+    if host != socket.gethostname():
+        return False
+    with contextlib.suppress(OSError):
+        addresses = {str(info[4][0]) for info in socket.getaddrinfo(host, None)}
+        return all(ipaddress.ip_address(a.partition("%")[0]).is_loopback for a in addresses)
+    return False
 
 
 # -- the folder of links -----------------------------------------------------------------------------------------------

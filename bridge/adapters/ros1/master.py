@@ -28,7 +28,7 @@ _STOP_TIMEOUT = 0.7
 _RETRY = 0.1
 _FAILURES = 2
 _PATIENCE = 5.0
-"""Seconds that a master on a busy machine may be silent before it counts as away; refusing counts at the second time."""
+"""Seconds that a master may be silent, on a busy machine, before it counts as away."""
 
 _BATCH = 200
 _SPARE_NAMES = 9

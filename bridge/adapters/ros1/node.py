@@ -108,8 +108,6 @@ class Node:
             raise RuntimeError(msg)
         # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
         logging.setLoggerClass(logging.Logger)
-        for logger in ("rospy", "rosout", "xmlrpc"):
-            logging.getLogger(logger).setLevel(logging.WARNING)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
         self.rename(name)
         self._start_server()

@@ -55,6 +55,7 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with self.c_lock:
             if not _TopicImpl.add_connection(self, transport):
+                transport.close()
                 return False
             outlet = Outlet(sock, f"midspan-ros1-out{self.resolved_name}")
             self._outlets = {**self._outlets, transport: outlet}

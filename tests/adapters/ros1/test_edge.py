@@ -102,6 +102,32 @@ def test_messages_come_in_with_their_source(master, edge):
         until(lambda: first.ask("connections", id=one)["count"] == 0, "it is disconnected")
 
 
+def test_roscpp_programs_both_ways(master, edge):
+    # roscore's rosout is a roscpp program: it hears /rosout and publishes what it heard on /rosout_agg
+    with master.peer("logger") as peer:
+        endpoint = edge.endpoint(topic="/rosout_agg", made_by="native")
+        assert (endpoint["type"], endpoint["node"]) == ("rosgraph_msgs/Log", "/rosout")
+        inbox = edge.open("/rosout_agg", "rosgraph_msgs/Log")
+
+        def logged() -> bool:
+            peer.ask("log", text="from rospy over roscpp")
+            return any(b"from rospy over roscpp" in base64.b64decode(p) for p, _ in edge.received(inbox, 0, 0))
+
+        until(logged, "a message of a roscpp publisher comes in", every=0.2)
+        aggregated = peer.subscribe("/rosout_agg", "rosgraph_msgs/Log")
+        publisher = edge.ask("advertise", topic="/rosout", type="rosgraph_msgs/Log", latched=True, depth=1)["id"]
+        words = [w.encode() for w in ("/bridged", "over roscpp", "file", "function")]
+        strings = [struct.pack("<I", len(w)) + w for w in words]
+        log = struct.pack("<IIII", 0, 1, 2, 0) + b"\x02" + b"".join(strings) + struct.pack("<II", 3, 0)
+        edge.ask("send", id=publisher, payload=base64.b64encode(log).decode())
+        until(
+            lambda: "over roscpp" in [m["msg"] for m in peer.wait(aggregated, 0, 0)],
+            "a roscpp subscriber took our message",
+        )
+        edge.drop(publisher)
+        edge.drop(inbox)
+
+
 def test_a_custom_type_both_ways(master, edge):
     with master.peer("custom") as peer:
         md5 = peer.ask("define", type="my_pkg/Thing", definition=THING)["md5"]

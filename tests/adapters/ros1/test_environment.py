@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.ros1.environment import PLACES, available, packages_folder, worker_environment
+from bridge.adapters.ros1.environment import PLACES, available, is_local, packages_folder, worker_environment
 from bridge.config.model import Config, Ros1Section
 from tests.support.ros1 import needs_ros1
 
@@ -97,6 +97,17 @@ ADDRESSES = [
 def test_addresses(tmp_path, packages, configured, environ, expected):
     env = made(tmp_path, on(packages, **configured), **environ)
     assert {name: env.get(name) for name in expected} == expected
+
+
+def test_which_masters_are_local(monkeypatch):
+    monkeypatch.setattr("socket.gethostname", lambda: "robot")
+    addresses = {"robot": ["127.0.1.1"]}
+    monkeypatch.setattr("socket.getaddrinfo", lambda host, _port: [(0, 0, 0, "", (a, 0)) for a in addresses[host]])
+    for host in ("localhost", "127.0.0.1", "127.1.2.3", "::1", "robot"):
+        assert is_local(host), host
+    addresses["robot"] = ["127.0.1.1", "192.168.1.2"]
+    for host in ("192.168.1.2", "robot", "other", ""):
+        assert not is_local(host), host
 
 
 def test_the_log_goes_to_the_state_folder(tmp_path, packages):
