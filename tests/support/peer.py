@@ -11,7 +11,9 @@ Types are spelled ``package/Name`` on every side.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -61,3 +63,12 @@ class Peer(Process):
     def graph(self) -> dict[str, Any]:
         """What the peer sees of its side's graph."""
         return self.ask("graph")
+
+    def stop(self, seconds: float = 6.0) -> int:
+        """Let the program end by itself, so that it cleans up; with no ``seconds`` it is killed at once."""
+        if seconds > 0 and self.popen.poll() is None and self.popen.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.popen.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.popen.wait(seconds / 2)
+        return super().stop(seconds)
