@@ -55,7 +55,7 @@ class Ros2Edge(Edge):
         self._publishers: set[Ros2Publisher] = set()
         self._listener: EdgeListener | None = None
         self._prefix = b""
-        self._adapts = False
+        self._neighbours: neighbours.Neighbours | None = None
         self._participant: Participant | None = None
         self._loop: Loop | None = None
         self._graph: Graph | None = None
@@ -69,9 +69,8 @@ class Ros2Edge(Edge):
             _log.info("removed %d shared-memory segments of dead ROS 2 processes", removed)
         profile = use_profile(self._config, self._state)
         self._prefix = profile.prefix
-        self._adapts = (
-            profile.segment > 0 and self._config.ros2.transport == "auto" and self._config.ros2.profile is None
-        )
+        if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
+            self._neighbours = neighbours.Neighbours(self._prefix, self._leave_shared_memory)
         self._participant = Participant(self._config.ros2.node, domain(self._config, os.environ))
         self._loop = TakeLoop() if rcl.has_eventfd() else WaitSetLoop(self._participant)
         self._loop.start()
@@ -82,8 +81,8 @@ class Ros2Edge(Edge):
         graph.start()
 
     def _changed(self, snapshot: Snapshot) -> None:
-        if self._adapts and neighbours.strangers(snapshot.participants, self._prefix):
-            self._leave_shared_memory()
+        if self._neighbours is not None:
+            self._neighbours.follow(snapshot.participants)
         with self._lock:
             subscriptions = list(self._subscriptions)
         for subscription in subscriptions:
@@ -92,7 +91,6 @@ class Ros2Edge(Edge):
             self._listener.graph_changed()
 
     def _leave_shared_memory(self) -> None:
-        self._adapts = False
         neighbours.note(self._state / "ros2")
         if self._listener is not None:
             self._listener.edge_failed(
@@ -109,8 +107,10 @@ class Ros2Edge(Edge):
             return
         graph.stop()
         origins, self._origins = self._origins, None
-        if origins is not None:
-            origins.close()
+        watch, self._neighbours = self._neighbours, None
+        for part in (origins, watch):
+            if part is not None:
+                part.close()
         with self._lock:
             endpoints: list[Ros2Subscription | Ros2Publisher] = [*self._subscriptions, *self._publishers]
         for endpoint in endpoints:

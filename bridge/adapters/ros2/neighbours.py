@@ -2,45 +2,104 @@
 
 Fast DDS offers shared memory to every participant whose GUID prefix begins with the same four bytes: those of this
 host. It does not see that one belongs to another user, or to a container with a /dev/shm of its own, and then delivers
-nothing without a word. The prefix's bytes 4 and 5 are the low half of the process id (seen with Fast DDS 2.14.5), so
-a participant that can share memory with us has a process of our user with that id here.
+nothing without a word. The prefix's bytes 4 and 5 are the low half of the process id (seen with Fast DDS 2.14.5), so a
+participant that can share memory with us has a process here with such an id, of our user, with Fast DDS loaded, and
+with the same /dev/shm.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+import threading
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from bridge.adapters.ros2.mark import is_marked
+from bridge.adapters.ros2.shm import FOLDER
+
+CONFIRM_SECONDS = 1.0
+"""A program that has just ended may still be on the graph, and has no process any more."""
 
 _HOST = slice(0, 4)
 _PID = slice(4, 6)
+_LIBRARIES = (b"libfastrtps", b"libfastdds")
 _NOTE = "udp-alone"
 
 
-def strangers(prefixes: Iterable[bytes], own: bytes, proc: Path = Path("/proc")) -> list[bytes]:
-    """Those of this host's participants that no process of our user on this host can be."""
-    return [
-        prefix
-        for prefix in prefixes
-        if prefix[_HOST] == own[_HOST] and not is_marked(prefix) and not _is_ours(prefix, proc)
-    ]
+class Neighbours:
+    """Watches the participants for one that shared memory cannot reach.
 
+    Args:
+        own: our GUID prefix.
+        stranger: called once, when such a participant stays.
+        proc: the process table.
+    """
 
-def _is_ours(prefix: bytes, proc: Path) -> bool:
-    mine = os.geteuid()
-    try:
-        largest = int((proc / "sys/kernel/pid_max").read_text())
-    except (OSError, ValueError):
-        largest = 1 << 22
-    for pid in range(int.from_bytes(prefix[_PID], "little"), largest + 1, 1 << 16):
+    def __init__(self, own: bytes, stranger: Callable[[], None], proc: Path = Path("/proc")) -> None:
+        self._own, self._stranger, self._proc = own, stranger, proc
+        self._lock = threading.Lock()
+        self._present: frozenset[bytes] = frozenset()
+        self._ours: set[bytes] = set()
+        self._timer: threading.Timer | None = None
+        self._done = False
+
+    def follow(self, participants: Collection[bytes]) -> None:
+        """Look at the participants that are there now."""
+        with self._lock:
+            self._present = frozenset(participants)
+            self._ours &= self._present
+            if not self._done and self._timer is None and self._suspects():
+                self._timer = threading.Timer(CONFIRM_SECONDS, self._confirm)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def _suspects(self) -> list[bytes]:
+        suspects = []
+        for prefix in self._present - self._ours:
+            if prefix[_HOST] != self._own[_HOST] or is_marked(prefix) or self._has_process(prefix):
+                self._ours.add(prefix)
+            else:
+                suspects.append(prefix)
+        return suspects
+
+    def _confirm(self) -> None:
+        with self._lock:
+            self._timer = None
+            if self._done or not self._suspects():
+                return
+            self._done = True
+        self._stranger()
+
+    def _has_process(self, prefix: bytes) -> bool:
         try:
-            if (proc / str(pid)).stat().st_uid == mine:
-                return True
-        except OSError:
-            continue
-    return False
+            largest = int((self._proc / "sys/kernel/pid_max").read_text())
+        except (OSError, ValueError):
+            largest = 1 << 22
+        pids = range(int.from_bytes(prefix[_PID], "little"), largest + 1, 1 << 16)
+        return any(_shares_memory(self._proc / str(pid)) for pid in pids)
+
+    def close(self) -> None:
+        """Watch no more."""
+        with self._lock:
+            self._done = True
+            timer, self._timer = self._timer, None
+        if timer is not None:
+            timer.cancel()
+            if timer is not threading.current_thread():
+                timer.join()
+
+
+def _shares_memory(process: Path) -> bool:
+    try:
+        if process.stat().st_uid != os.geteuid():
+            return False
+        maps = (process / "maps").read_bytes()
+        other = (process / "root" / FOLDER.relative_to("/")).stat()
+        mine = FOLDER.stat()
+    except OSError:
+        return False
+    same_folder = (other.st_dev, other.st_ino) == (mine.st_dev, mine.st_ino)
+    return same_folder and any(library in maps for library in _LIBRARIES)
 
 
 def note(folder: Path) -> None:

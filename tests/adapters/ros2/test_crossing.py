@@ -156,6 +156,16 @@ def test_edge_leaves_shared_memory_when_another_user_appears(
     assert again.ask("status")["failed"] == []
 
 
+def test_data_crosses_to_a_container(programs: Programs, own_shm: Callable[[str], int]) -> None:
+    """A node of the same user with a /dev/shm of its own."""
+    ours, theirs = own_shm("1g"), own_shm("1g")
+    edge, native = programs.edge(mounts=ours), programs.native(mounts=theirs)
+    native.advertise("/x/appears", "std_msgs/String")
+    until(lambda: edge.ask("status")["failed"], "the edge to ask for a new start")
+    edge.stop()
+    crosses(programs.edge(mounts=ours), native)
+
+
 def test_same_user_keeps_shared_memory(programs: Programs, own_shm: Callable[[str], int]) -> None:
     mounts = own_shm("1g")
     edge, native = programs.edge(mounts=mounts), programs.native(mounts=mounts)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import pytest
 
 from bridge.adapters.ros2 import neighbours
 from bridge.adapters.ros2.mark import is_marked, new_prefix
@@ -16,21 +20,83 @@ def prefix(pid: int, host: bytes = HOST) -> bytes:
     return host + (pid & 0xFFFF).to_bytes(2, "little") + b"\xab\xcd" + bytes(4)
 
 
-def test_process_of_our_user_is_no_stranger() -> None:
-    assert neighbours.strangers([prefix(os.getpid())], OWN) == []
+class Table:
+    """A process table of our own making."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "sys/kernel").mkdir(parents=True)
+        (folder / "sys/kernel/pid_max").write_text("4194304\n")
+
+    def add(
+        self, pid: int, maps: str = "7f00-7f01 r-xp 00000000 08:01 1 /x/libfastrtps.so.2.14", root: str = "/"
+    ) -> None:
+        (self.folder / str(pid)).mkdir()
+        (self.folder / str(pid) / "maps").write_text(f"7f00-7f01 r-xp 00000000 08:01 1 {library}\n")
+        (self.folder / str(pid) / "root").symlink_to(root)
 
 
-def test_process_of_another_user_or_of_none_is_a_stranger(tmp_path: Path) -> None:
-    (tmp_path / "sys/kernel").mkdir(parents=True)
-    (tmp_path / "sys/kernel/pid_max").write_text("4194304\n")
-    (tmp_path / "70000").mkdir()
-    gone, ours = prefix(4711), prefix(70000)
-    assert neighbours.strangers([gone, ours], OWN, tmp_path) == [gone]
+@pytest.fixture
+def table(tmp_path: Path) -> Table:
+    return Table(tmp_path / "proc")
 
 
-def test_other_hosts_and_other_midspans_do_not_count() -> None:
-    elsewhere = prefix(1, b"\x01\x0f\x99\x99")
-    assert neighbours.strangers([elsewhere, new_prefix(HOST), OWN], OWN) == []
+@pytest.fixture
+def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., bool]]:
+    """Whether a stranger is found among some participants that stay."""
+    monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", 0.01)
+    watches: list[neighbours.Neighbours] = []
+
+    def found(*participants: bytes, then: tuple[bytes, ...] | None = None) -> bool:
+        told = threading.Event()
+        watch = neighbours.Neighbours(OWN, told.set, table.folder)
+        watches.append(watch)
+        watch.follow(participants)
+        watch.follow(participants if then is None else then)
+        return told.wait(0.3)
+
+    yield found
+    for watch in watches:
+        watch.close()
+
+
+def test_who_can_share_our_memory(table: Table, strangers: Callable[..., bool]) -> None:
+    table.add(70000)
+    assert not strangers(prefix(70000), OWN)
+
+
+def test_no_process_of_ours_is_a_stranger(strangers: Callable[..., bool]) -> None:
+    assert strangers(prefix(4711))
+
+
+def test_process_of_another_user_is_a_stranger(
+    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table.add(4711)
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    assert strangers(prefix(4711))
+
+
+def test_process_without_fast_dds_is_none_of_the_participants(table: Table, strangers: Callable[..., bool]) -> None:
+    table.add(1, library="/sbin/init")
+    assert strangers(prefix(1))
+
+
+def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
+    table: Table, strangers: Callable[..., bool], tmp_path: Path
+) -> None:
+    (tmp_path / "container/dev/shm").mkdir(parents=True)
+    table.add(4711, root=str(tmp_path / "container"))
+    assert strangers(prefix(4711))
+
+
+def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
+    assert not strangers(prefix(4711), then=())
+
+
+def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:
+    assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN)
 
 
 def test_note_holds_until_the_next_boot(tmp_path: Path) -> None:
