@@ -28,9 +28,7 @@ class Table:
         (folder / "sys/kernel").mkdir(parents=True)
         (folder / "sys/kernel/pid_max").write_text("4194304\n")
 
-    def add(
-        self, pid: int, maps: str = "7f00-7f01 r-xp 00000000 08:01 1 /x/libfastrtps.so.2.14", root: str = "/"
-    ) -> None:
+    def add(self, pid: int, library: str = "/x/libfastrtps.so.2.14", root: str = "/") -> None:
         (self.folder / str(pid)).mkdir()
         (self.folder / str(pid) / "maps").write_text(f"7f00-7f01 r-xp 00000000 08:01 1 {library}\n")
         (self.folder / str(pid) / "root").symlink_to(root)
