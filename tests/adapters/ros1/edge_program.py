@@ -121,6 +121,9 @@ class Program:
             self.handles[id].send(data, source)
         return {"seconds": time.monotonic() - begin, "dropped": self.handles[id].dropped}
 
+    def do_subscribers(self, id: int) -> dict[str, Any]:
+        return {"count": len(self.handles[id]._publication.connections)}
+
     def do_forget(self, id: int, source: str) -> dict[str, Any]:
         self.handles[id].forget(source)
         return {}

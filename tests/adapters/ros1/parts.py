@@ -71,6 +71,10 @@ class EdgeUnderTest(Peer):
         """Subscribe; the subscription's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **more)["id"])
 
+    def heard(self, publisher: int, count: int = 1) -> None:
+        """Wait until so many subscribers are connected."""
+        until(lambda: self.ask("subscribers", id=publisher)["count"] == count, f"{count} subscribers are connected")
+
     def send(self, publisher: int, text_: str, source: str = "a") -> None:
         """Publish a std_msgs/String."""
         self.ask("send", id=publisher, payload=string(text_), source=source)

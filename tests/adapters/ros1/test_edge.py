@@ -141,7 +141,7 @@ def test_a_custom_type_both_ways(master, edge):
         ((payload, _),) = edge.received(edge.open("/thing/in", "my_pkg/Thing", **own), 1)
         inbox = peer.subscribe("/thing/out", "my_pkg/Thing")
         publisher = edge.ask("advertise", topic="/thing/out", type="my_pkg/Thing", **own)["id"]
-        until(lambda: peer.ask("connections", id=inbox)["count"], "the peer is connected")
+        edge.heard(publisher)
         edge.ask("send", id=publisher, payload=payload)
         (thing,) = peer.wait(inbox, 1)
         thing["header"]["seq"] = A_THING["header"]["seq"]  # rospy counts the sender's messages there
@@ -196,7 +196,7 @@ def test_latched_and_volatile_publishers_share_a_topic(master, edge):
     with master.peer("shared") as peer:
         again = edge.ask("advertise", topic="/shared", type="std_msgs/Int32")["id"]
         inbox = peer.subscribe("/shared", "std_msgs/Int32")
-        until(lambda: peer.ask("connections", id=inbox)["count"], "the peer is connected")
+        edge.heard(again)
         edge.ask("send", id=again, payload=base64.b64encode(struct.pack("<i", 9)).decode())
         assert latest(peer.wait(inbox, 1)) == [9]
 
@@ -309,11 +309,11 @@ def test_a_silent_peer_keeps_no_other_out(master, edge):
 def test_a_subscriber_that_stands_still_holds_up_nobody(master, edge):
     publisher = edge.ask("advertise", topic="/slow", type="std_msgs/String", depth=5)["id"]
     with master.peer("slow") as slow, master.peer("quick") as quick:
-        standing = slow.subscribe("/slow", "std_msgs/String")
-        until(lambda: slow.ask("connections", id=standing)["count"], "the slow one is connected")
+        slow.subscribe("/slow", "std_msgs/String")
+        edge.heard(publisher)
         slow.signal(19)
         inbox = quick.subscribe("/slow", "std_msgs/String")
-        until(lambda: quick.ask("connections", id=inbox)["count"], "the quick one is connected")
+        edge.heard(publisher, 2)
         big = string("x" * 1_000_000)
         for n in range(1, 21):
             edge.ask("send", id=publisher, payload=big)
