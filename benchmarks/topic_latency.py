@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows: list[Row] = []
     for condition in CONDITIONS:
         if condition.key in (args.conditions or (["alone"] if args.quick else [c.key for c in CONDITIONS])):
-            rows += _measure(condition, cases, rounds, shared_memory=not args.no_shared_memory)
+            rows += _measure(condition, cases, rounds, args)
     report(rows, args.json)
     missed = [row for row in rows if row.ratio > _mark(row, cases)]
     for row in missed:
@@ -109,11 +109,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if missed and args.check else 0
 
 
-def _measure(condition: Condition, cases: Sequence[Case], rounds: int, *, shared_memory: bool) -> list[Row]:
+def _measure(condition: Condition, cases: Sequence[Case], rounds: int, args: argparse.Namespace) -> list[Row]:
     samples = Samples()
     for number in range(rounds):
         print(f"{condition.key}: round {number + 1} of {rounds}", file=sys.stderr, flush=True)
-        with Network(cases, idle=condition.idle, busy=condition.busy, shared_memory=shared_memory) as network:
+        memory = not args.no_shared_memory
+        with Network(cases, idle=condition.idle, busy=condition.busy, shared_memory=memory) as network:
+            if args.realtime:
+                network.prefer()
             samples.round(network, number)
             if condition.busy:
                 print(f"background: {network.background_rate():.0f} messages/s arrive", file=sys.stderr)
@@ -142,6 +145,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, metavar="N", help="rounds, each with new processes (default 5)")
     parser.add_argument("--quick", action="store_true", help="three messages, two rounds, nothing else bridged")
     parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
+    parser.add_argument(
+        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
+    )
     parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
     add_json_option(parser)
     return parser

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -22,8 +21,9 @@ _PORT = re.compile(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?")
 def sweep(folder: Path) -> list[str]:
     """End what is left of the processes that were started for a run in this folder; returns their names."""
     left = []
-    for process in _marked(folder):
+    for pid in marked(folder):
         with contextlib.suppress(psutil.Error):
+            process = psutil.Process(pid)
             left.append(f"{process.name()} ({process.pid})")
             process.kill()
             process.wait(2.0)
@@ -37,7 +37,7 @@ def shared_memory(folder: Path, ports: range) -> set[Path]:
         folder: the run's.
         ports: those of its ROS domain; other ports' files are everybody's.
     """
-    return {file for process in _marked(folder) for file in _used_by(process.pid) if is_own(file.name, ports)}
+    return {file for pid in marked(folder) for file in _used_by(pid) if is_own(file.name, ports)}
 
 
 def remove_unused(files: set[Path]) -> list[Path]:
@@ -50,11 +50,14 @@ def remove_unused(files: set[Path]) -> list[Path]:
     return sorted(there)
 
 
-def _marked(folder: Path) -> Iterator[psutil.Process]:
+def marked(folder: Path) -> list[int]:
+    """Process ids of a run's living processes."""
+    found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
             if process.pid != os.getpid() and process.environ().get(MARK) == str(folder):
-                yield process
+                found.append(process.pid)
+    return found
 
 
 def is_own(name: str, ports: range) -> bool:
