@@ -18,7 +18,7 @@ from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate, Pulse
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import Route, RouteKey, joint_qos
+from bridge.routing.route import STREAM_DEPTH, Route, RouteKey, joint_qos
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -84,7 +84,8 @@ class InRoute(Route):
                     self._remove(endpoint.id)
                 self._add(endpoint)
         if endpoints:
-            self._subscribe(joint_qos([e.qos for e in endpoints]))
+            self._qos = joint_qos([e.qos for e in endpoints])
+            self._subscribe()
         self._flush_pending()
 
     def _latched(self, endpoint: Endpoint) -> bool:
@@ -122,15 +123,21 @@ class InRoute(Route):
             self._shared.close()
             self._shared = None
 
-    def _subscribe(self, qos: Qos) -> None:
-        qos = self.decision.override(qos)
-        if self._subscription is not None and qos == self._qos:
+    def _subscribe(self) -> None:
+        """Subscribe once, asking for the most; the edge hears each publisher as far as that one offers it.
+
+        Subscribing again when a publisher comes with another QoS would bring the latched messages a second time.
+        """
+        if self._subscription is not None:
             return
-        old, self._subscription = self._subscription, None
-        if old is not None:
-            old.close()
-        self._qos = qos
-        self._subscription = self._edge.subscribe(self.key.topic, self.conversion.source, qos, self._deliver)
+        command = self._priority is Priority.COMMAND
+        wish = Qos(
+            Reliability.RELIABLE,
+            Durability.VOLATILE if command else Durability.TRANSIENT_LOCAL,
+            depth=1 if command else STREAM_DEPTH,
+        )
+        wish = self.decision.override(wish)
+        self._subscription = self._edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
 
     def _flush_pending(self) -> None:
         now = time.monotonic()

@@ -20,7 +20,7 @@ from bridge.routing.age import AgeGate, Pulse
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos
+from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, STREAM_DEPTH, Route, RouteKey, joint_qos
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -28,9 +28,6 @@ _log = logging.getLogger(__name__)
 
 BULK = 64 * 1024
 """Bytes from which a message goes to the dispatcher for large ones, so that it delays no small one."""
-
-STREAM_DEPTH = 50
-"""History of a stream's publisher at least, so that a burst finds room."""
 
 MAX_PENDING = 64
 _STATIC = "static transforms"

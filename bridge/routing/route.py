@@ -17,6 +17,9 @@ _log = logging.getLogger(__name__)
 QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 200}
 """Messages that wait for a side at most, where no rule says otherwise."""
 
+STREAM_DEPTH = 50
+"""History of the bridge's own endpoints on a stream at least, so that a burst finds room."""
+
 QUEUE_BYTES = 64 * 1024 * 1024
 """Bytes that wait in one route's queue at most."""
 
