@@ -107,6 +107,10 @@ class EdgeSubscription(Protocol):
 class EdgePublisher(Protocol):
     """A publisher that the bridge holds on the side."""
 
+    @property
+    def dropped(self) -> int:
+        """Messages so far that slow subscribers of this topic missed, as far as the side tells; else 0."""
+
     def send(self, payload: bytes, source: str) -> None:
         """Publish bytes that came from the hub publisher ``source``; retained per source when the QoS is latched."""
 

@@ -202,7 +202,6 @@ class Ros2Section(Section):
         default=None, description="A Fast DDS XML profile of your own, used instead of the generated one."
     )
     localhost_only: bool = Field(default=True, description="Discover ROS 2 nodes of this machine only.")
-    build: bool = Field(default=True, description="Build message packages on demand when a compiler is there.")
 
 
 class TypesSection(Section):

@@ -83,7 +83,8 @@ class HubSettings:
 class Hub:
     """One zenoh session that speaks rmw_zenoh's format, as one node. Safe to use from any thread.
 
-    Opening does not wait for the router: the session joins when it can, and again after a cut.
+    Opening does not wait for the router: the session joins when it can, and again after a cut. Only in zenoh's client
+    mode the router must be there at the start.
 
     Attributes:
         zid: the session's id.
@@ -110,7 +111,7 @@ class Hub:
 
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
-        """Open a session; raises `HubError` where zenoh cannot (a bad configuration, a port in use)."""
+        """Open a session; raises `HubError` where zenoh cannot."""
         tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=settings.max_payload)
         config = make_config(tree, settings.zenoh)
         try:

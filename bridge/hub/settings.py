@@ -19,6 +19,9 @@ MAX_PAYLOAD = 256 << 20
 LEASE_MS = 3000
 """A session that fell silent is given up after this time; four keep-alives are sent in it."""
 
+CLIENT_WAIT_MS = 3000
+"""How long a session in zenoh's client mode waits for its router to answer when it is opened."""
+
 _PRIORITIES = ("interactive_high", "data_high", "data")
 """Queues of each link that Midspan's samples use. Their default length of 2 packets loses samples of a short burst."""
 
@@ -33,9 +36,10 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
     tree["listen"] = {"endpoints": ["tcp/127.0.0.1:0"]}
     tree["connect"] = {
         "endpoints": [] if router is None else [router],
-        # a worker does not wait for its router: it goes on trying, also when the link is cut later
-        "timeout_ms": -1,
-        "exit_on_failure": False,
+        # a peer does not wait for its router: it goes on trying, also when the link is cut later; zenoh cannot open a
+        # client without one
+        "timeout_ms": {"router": -1, "peer": -1, "client": CLIENT_WAIT_MS},
+        "exit_on_failure": {"router": False, "peer": False, "client": True},
         "retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},
     }
     tree["transport"]["shared_memory"] = {

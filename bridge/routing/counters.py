@@ -6,8 +6,9 @@ import time
 from collections import deque
 from typing import Any
 
-DROPS = ("queue", "rate", "stale", "bad", "lost", "unknown")
-"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh, source unknown."""
+DROPS = ("queue", "rate", "stale", "bad", "lost", "slow", "unknown")
+"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh, missed by a slow
+subscriber of the side, source unknown."""
 
 _LATENCIES = 512
 

@@ -229,4 +229,6 @@ class OutRoute(Route):
         """The route as it stands in the status document."""
         if self._subscription is not None:
             self.counters.drops["lost"] = self._subscription.lost
+        publishers = [p for p in (self._latched, self._volatile) if p is not None]
+        self.counters.drops["slow"] = max((p.dropped for p in publishers), default=0)
         return self.describe(self._priority, self._qos, len(self._sources), active=bool(self._sources))

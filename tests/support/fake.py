@@ -121,6 +121,10 @@ class _Publisher:
     network: FakeNetwork
     writer: Writer
 
+    @property
+    def dropped(self) -> int:
+        return 0
+
     def send(self, payload: bytes, source: str) -> None:
         self.network.write(self.writer, payload, source)
 

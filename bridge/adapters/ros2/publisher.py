@@ -59,6 +59,11 @@ class Ros2Publisher:
     def _make(self) -> _Writer:
         return _Writer(self._participant, self._message_class, self.topic, self.qos)
 
+    @property
+    def dropped(self) -> int:
+        """DDS does not tell what a slow reader missed."""
+        return 0
+
     def send(self, payload: bytes, source: str) -> None:
         """Publish bytes of one source."""
         writer = self._writers.get(source)

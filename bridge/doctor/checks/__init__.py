@@ -20,7 +20,7 @@ CHECKS: tuple[Check, ...] = (
     Check("two-bridges", "other bridges on the same networks", bridges.look, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),
     Check("type-hash", "definitions that differ between machines", types.look_at_hashes),
-    Check("compiler", "the compiler for missing message packages", types.look_at_compiler),
+    Check("compiler", "the compiler for missing message packages (`midspan interfaces build`)", types.look_at_compiler),
     Check("clock", "the clocks of the machines", clock.look),
     Check("shm-users", "users that share Fast DDS's shared memory", sharedmemory.look_at_users),
     Check("shm-size", "room in shared memory", sharedmemory.look_at_size),
