@@ -10,7 +10,7 @@ import pytest
 import zenoh
 
 from bridge.config.model import Config
-from bridge.hub.errors import HubConfigError
+from bridge.hub.errors import HubConfigError, HubError
 from bridge.hub.router import RouterInfo, RouterWorker, port_held, probe_router
 from bridge.hub.session import Hub
 from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
@@ -154,6 +154,12 @@ def test_clients_have_no_link_but_the_routers_and_find_each_other_again():
         publisher.put(b"two")
         until(lambda: "two" in heard.texts(), "the data is back")
         assert heard.texts().count("one") == heard.texts().count("two") == 1
+
+
+def test_a_client_without_its_router_is_refused():
+    client = {"mode": "client", "connect": {"timeout_ms": 100}}
+    with pytest.raises(HubError, match="cannot join the hub: Unable to connect"):
+        Hub.open(HubNetwork(zenoh=client, run=False).settings("a"))
 
 
 def test_a_bad_configuration_is_refused():

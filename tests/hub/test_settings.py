@@ -48,7 +48,7 @@ def test_file_is_laid_over(tmp_path: Path, name: str, text: str):
     config = make_config(TREE, tmp_path / name)
     assert value(config, "mode") == "client"
     assert value(config, "connect/endpoints") == ["tcp/10.0.0.1:7447"]
-    assert value(config, "connect/exit_on_failure") is False
+    assert value(config, "connect/exit_on_failure")["peer"] is False
     assert value(config, "scouting/multicast/enabled") is False
 
 

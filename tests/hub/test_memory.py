@@ -1,0 +1,82 @@
+"""Shared memory, and what is left when a session ends."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bridge.hub.session import Hub
+from tests.hub.parts import STREAM, Heard, matched, see_each_other, talk
+from tests.support.hub import ROOT, HubNetwork
+from tests.support.wait import until
+
+PROGRAM = """
+import sys
+from bridge.hub.session import Hub, HubSettings
+from bridge.hub.qos import Qos
+hub = Hub.open(HubSettings(router=sys.argv[1], node="leaves"))
+hub.subscription("/x", "a/msg/B", "*", Qos(), print)
+hub.serve("verb", lambda params: 1)
+"""
+
+
+@pytest.mark.parametrize(("first", "second"), [(True, True), (True, False), (False, False)])
+def test_big_messages_with_and_without(first: bool, second: bool):
+    with (
+        HubNetwork() as network,
+        Hub.open(network.settings("a", shared_memory=first)) as a,
+        Hub.open(network.settings("b", shared_memory=second)) as b,
+    ):
+        see_each_other(a, b)
+        heard = Heard(b, "/image", STREAM)
+        publisher = talk(a, "/image", STREAM)
+        matched(publisher)
+        # held by the listener, they are more than the pool has room for: the rest goes over the network
+        for number in range(10):
+            publisher.put(bytes([number]) * 6_000_000)
+            until(lambda number=number: len(heard.samples) == number + 1, "heard")
+        assert [sample.data() for sample in heard.samples] == [bytes([n]) * 6_000_000 for n in range(10)]
+
+
+def segments(pid: int) -> set[Path]:
+    """Files of shared memory that a process has mapped."""
+    lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    return {Path(line.split()[-1]) for line in lines if "/dev/shm/" in line}
+
+
+def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
+    """One session sends a big message to another, both in processes of their own; the sender's end and its segments."""
+    with network.hub_peer("listener") as listener, network.hub_peer("sender") as sender:
+        heard = listener.ask("subscription", topic="/image")["id"]
+        publisher = sender.ask("publisher", topic="/image", latched=False)["id"]
+
+        def came() -> bool:
+            sender.ask("put", id=publisher, text="x" * 1_000_000)
+            return bool(listener.ask("wait", id=heard, count=1, seconds=0.2)["texts"])
+
+        until(came, "heard")
+        used = segments(sender.pid)
+        assert 1 << 20 < max(segment.stat().st_size for segment in used) <= 16 << 20
+        sender.signal(number)
+        sender.popen.wait(10)
+    return used
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks into /proc and /dev/shm")
+def test_no_pool_is_left_of_a_killed_session():
+    """What a killed process left is removed when the next one uses zenoh's shared memory."""
+    with HubNetwork() as network:
+        killed = send_big(network, signal.SIGKILL)
+        send_big(network, signal.SIGKILL)
+        assert [segment for segment in killed if segment.exists()] == []
+
+
+def test_a_program_that_forgets_to_close_ends():
+    """Zenoh's threads would keep the interpreter for ever."""
+    with HubNetwork() as network:
+        env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
+        subprocess.run([sys.executable, "-c", PROGRAM, network.endpoint], env=env, check=True, timeout=30)
