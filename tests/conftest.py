@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import threading
 import time
 import uuid
@@ -37,6 +38,8 @@ def _threads() -> dict[object, str]:
 
 def pytest_sessionstart() -> None:
     os.environ[_MARK] = _run
+    # a shell that runs this in the background lets it ignore Ctrl-C, and so would every program that a test starts
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_runtest_logfinish(nodeid: str) -> None:
