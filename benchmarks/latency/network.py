@@ -22,6 +22,7 @@ FLOOR, THERE, BACK = "floor", "there", "back"
 """First part of the topics' names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
 
 UP_SECONDS = 40.0
+_WARM = 3
 _MEMORY = {"MALLOC_MMAP_THRESHOLD_": "1000000000", "MALLOC_TRIM_THRESHOLD_": "1000000000"}
 """glibc keeps freed memory in the ends: with its defaults each large message is paid for again by page faults, 1 MB
 over ROS 1 twice and 6 MB over ROS 2 four times as dear, and the floor would be that much easier to reach."""
@@ -56,23 +57,23 @@ class Network:
             self.close()
             raise
 
-    def measure(self, prepared: Prepared, hop: str) -> list[int]:
-        """One-way latencies in nanoseconds of one measurement.
+    def measure(self, prepared: Prepared, hop: str, count: int) -> list[int]:
+        """One-way latencies in nanoseconds of so many messages.
 
         Args:
             prepared: the message.
             hop: ``ros1``, ``ros2`` or ``zenoh`` for the floor's hops, ``there`` or ``back`` for the whole way.
+            count: messages after the first ones, which do not count.
         """
-        case, topic = prepared.case, f"/{hop if hop in (THERE, BACK) else FLOOR}/{prepared.case.key}"
+        topic = f"/{hop if hop in (THERE, BACK) else FLOOR}/{prepared.case.key}"
         source, target = {THERE: ("ros1", "ros2"), BACK: ("ros2", "ros1")}.get(hop, (hop, hop))
         sender, listener = self._children[f"{source} sender"], self._children[f"{target} listener"]
-        self._command(sender, "send", "sent", topic=topic, count=5, period=0.05)
-        self._command(listener, "collect", "collected", topic=topic, count=5, seconds=0.5)
+        period = 1 / prepared.case.rate
         self._command(listener, "clear", "cleared")
-        self._command(sender, "send", "sent", topic=topic, count=case.count, period=1 / case.rate)
-        told = self._command(listener, "collect", "collected", topic=topic, count=case.count, seconds=2.0)
+        self._command(sender, "send", "sent", topic=topic, count=_WARM + count, period=period)
+        told = self._command(listener, "collect", "collected", topic=topic, count=_WARM + count, seconds=2.0)
         ages: list[int] = told["ages"]
-        return ages
+        return ages[_WARM:]
 
     def prefer(self) -> None:
         """Have all these processes scheduled before the machine's others (Linux, root); for all alike, so fair."""
