@@ -63,6 +63,13 @@ def test_tls(certificates: Path):
             talk(a, "/map", LATCHED, "secret")
             heard.wait("secret")
             assert [link.dst.split("/")[0] for link in a._session.info.links()] == ["tls"]
+        # workers of the router's own machine stay peers: TLS to the router, a direct link on loopback
+        settings = [network.settings(node, zenoh={**robot1, "mode": "peer"}) for node in ("c", "d")]
+        with Hub.open(settings[0]) as c, Hub.open(settings[1]) as d:
+            see_each_other(c, d)
+            until(
+                lambda: {x.dst.split("/")[0] for x in c._session.info.links()} == {"tls", "tcp"}, "both kinds of link"
+            )
         # signed by nobody that the router trusts
         with pytest.raises(HubError, match="cannot join the hub"):
             Hub.open(network.settings("c", zenoh=stranger))
@@ -79,10 +86,10 @@ def allow(name: str, keys: list[str], messages: list[str], *flows: str) -> dict[
 
 
 def test_access_control(certificates: Path):
-    """robot2 may listen to everything on the hub, and may publish nothing but /status."""
+    """robot2 may listen to everything on the hub, late joining too, and may publish nothing but /status."""
     tokens = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     every = ["put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", *tokens]
-    graph = ["@ros2_lv/**", "@midspan/**"]
+    graph = ["@ros2_lv/**", "@midspan/**", "**/@adv/**"]
     access = {
         "enabled": True,
         "default_permission": "deny",
@@ -92,11 +99,13 @@ def test_access_control(certificates: Path):
             allow("subscriptions", ["**"], ["declare_subscriber"]),
             allow("hear", ["**"], ["put"], "egress"),
             allow("say", ["*/status/**"], ["put"], "ingress"),
+            allow("ask", ["**/@adv/**"], ["query"], "ingress"),
+            allow("told", ["**", "**/@adv/**"], ["reply", "declare_queryable"], "egress"),
         ],
         "subjects": [{"id": name, "cert_common_names": [name]} for name in ("robot1", "robot2")],
         "policies": [
             {"rules": ["all"], "subjects": ["robot1"]},
-            {"rules": ["graph", "subscriptions", "hear", "say"], "subjects": ["robot2"]},
+            {"rules": ["graph", "subscriptions", "hear", "say", "ask", "told"], "subjects": ["robot2"]},
         ],
     }
     router = {"transport": {"link": {"tls": tls(certificates, "router")}}, "access_control": access}
@@ -106,6 +115,9 @@ def test_access_control(certificates: Path):
         Hub.open(network.settings("b", zenoh=session_config(certificates, "robot2"))) as b,
     ):
         see_each_other(a, b)
+        talk(a, "/map", LATCHED, "kept")
+        Heard(b, "/map", LATCHED).wait("kept")
+        forbidden = talk(b, "/map", LATCHED, "forged")
         status, command, back = Heard(a, "/status"), Heard(a, "/cmd_vel"), Heard(b, "/odom")
         odom = talk(a, "/odom")
         allowed, denied = talk(b, "/status"), talk(b, "/cmd_vel")
@@ -121,6 +133,9 @@ def test_access_control(certificates: Path):
         allowed.put(b"again")
         status.wait("fine", "again")
         assert command.samples == []
+        own = Heard(a, "/map", LATCHED)
+        until(lambda: a.graph.zid_of(forbidden.gid), "the forger is seen")
+        assert own.samples == []
 
 
 def test_two_machines_join_by_their_routers():
