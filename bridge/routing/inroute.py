@@ -42,7 +42,8 @@ class InRoute(Route):
     """One topic and type of the side, published on the hub.
 
     Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the
-    others share one. Static transforms are merged and kept by one publisher for the life of the route.
+    others share one. Static transforms are merged and kept by one publisher for the life of the route; transforms that
+    are not latched pass beside them as they are.
     """
 
     direction = "in"
@@ -65,6 +66,7 @@ class InRoute(Route):
         self._sources: dict[str, _Source] = {}
         self._shared: HubPublisher | None = None
         self._static: StaticTransforms | None = None
+        self._static_publisher: HubPublisher | None = None
         self._static_lock = threading.Lock()
         self._pending: dict[str, tuple[float, bytes, int | None]] = {}
         self._subscription: EdgeSubscription | None = None
@@ -95,9 +97,9 @@ class InRoute(Route):
     def _add(self, endpoint: Endpoint) -> None:
         latched = self._latched(endpoint)
         self._priority = self.priority_of(latched=latched or any(s.latched for s in self._sources.values()))
-        if latched and self.hub_type == TF_TYPE and self._static is None:
-            self._static = StaticTransforms()
-        if latched and self._static is None:
+        if latched and self.hub_type == TF_TYPE:
+            publisher = self._for_static()
+        elif latched:
             publisher = self._publisher(endpoint.qos)
         else:
             if self._shared is None:
@@ -105,11 +107,15 @@ class InRoute(Route):
             publisher = self._shared
         self._sources[endpoint.id] = _Source(endpoint, publisher, latched, AgeGate())
 
+    def _for_static(self) -> HubPublisher:
+        if self._static_publisher is None:
+            self._static = StaticTransforms()
+            self._static_publisher = self._publisher(Qos(durability=Durability.TRANSIENT_LOCAL, depth=1))
+        return self._static_publisher
+
     def _publisher(self, qos: Qos) -> HubPublisher:
         qos = self.decision.override(qos)
-        if self._static is not None:
-            qos = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
-        elif self._priority is Priority.COMMAND:
+        if self._priority is Priority.COMMAND:
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
         target = self.conversion.target
         return self._hub.publisher(self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value)
@@ -117,9 +123,11 @@ class InRoute(Route):
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
         self._pending.pop(source, None)
+        if known.publisher is self._static_publisher:
+            return
         if known.publisher is not self._shared:
             known.publisher.close()
-        elif self._static is None and not any(s.publisher is self._shared for s in self._sources.values()):
+        elif not any(s.publisher is self._shared for s in self._sources.values()):
             self._shared.close()
             self._shared = None
 
@@ -169,7 +177,7 @@ class InRoute(Route):
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
-            if self._static is not None:
+            if self._static is not None and known.latched:
                 with self._static_lock:
                     known.publisher.put(self._static.merge(data), time_ns)
             else:
@@ -195,9 +203,10 @@ class InRoute(Route):
             self._subscription = None
         for source in list(self._sources):
             self._remove(source)
-        if self._shared is not None:
-            self._shared.close()
-            self._shared = None
+        for publisher in (self._shared, self._static_publisher):
+            if publisher is not None:
+                publisher.close()
+        self._shared = self._static_publisher = None
 
     def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
