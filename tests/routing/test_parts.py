@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 
 import pytest
@@ -49,6 +50,20 @@ def test_rate_limit_meets_its_mean(monkeypatch: pytest.MonkeyPatch, source_hz: i
         clock.now = 1000.0 + n / source_hz
         got += gate.passes()
     assert abs(got - passed) <= max(2, passed * 0.06)
+
+
+def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    gate = rate.RateLimit(30)
+    passed = []
+    for n in range(1000):
+        # 100 Hz, and every half second the machine does something else for 70 ms.
+        late = max(0.0, 0.07 - (n % 50) / 100)
+        clock.now = 1000.0 + n / 100 + late
+        if gate.passes():
+            passed.append(clock.now)
+    assert len(passed) == pytest.approx(300, rel=0.02)
+    assert min(b - a for a, b in itertools.pairwise(passed)) >= 0.5 / 30
 
 
 def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:
