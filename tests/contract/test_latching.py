@@ -72,6 +72,42 @@ def test_static_transforms_of_three_broadcasters_to_the_side(side: Side, bridge:
     assert _frames(_late_peer_tf(side)) == ["sensor0", "sensor1", "sensor2"]
 
 
+def test_transforms_that_are_not_latched_pass_beside_static_ones(side: Side, bridge: Bridge, far: HubSide) -> None:
+    moving, fixed = side.peer(), side.peer()
+    heard = far.subscribe("/robot/tf", "tf2_msgs/TFMessage")
+    out = moving.advertise("/robot/tf", "tf2_msgs/TFMessage")
+    far.until_published("/robot/tf", 1)
+    fixed.publish(fixed.advertise("/robot/tf", "tf2_msgs/TFMessage", latched=True, depth=1), _transforms("fixed"))
+    until(lambda: _frames(_late_tf(far, "/robot/tf")) == ["fixed"], "the static one is kept", 15)
+
+    def alone() -> bool:
+        moving.publish(out, _transforms("moving"))
+        return _frames(far.wait(heard, 10_000, 0.2)) == ["moving"]
+
+    until(alone, "the moving one passes alone", 15)
+    assert _frames(_late_tf(far, "/robot/tf")) == ["fixed"]
+
+
+def test_a_program_that_advertises_anew_without_latching_and_with(side: Side, bridge: Bridge, far: HubSide) -> None:
+    peer = side.peer()
+    for latched, text in ((True, "kept"), (False, "heard"), (True, "kept again")):
+        out = peer.advertise("/mode", STRING, latched=latched, depth=1)
+        if latched:
+            peer.publish(out, {"data": text})
+            until(lambda t=text: _late(far, "/mode", 1) == [t], f"{text} is kept", 20)
+        else:
+            until(lambda: [p.qos.latched for p in far.publishers("/mode")] == [False], "not latched any more", 20)
+            heard = far.subscribe("/mode", STRING)
+
+            def crossed(out: int = out, heard: int = heard, text: str = text) -> bool:
+                peer.publish(out, {"data": text})
+                return {"data": text} in far.wait(heard, 1, 0.2)
+
+            until(crossed, "it is heard", 15)
+            assert _late(far, "/mode", 0) == []
+        peer.drop(out)
+
+
 def _late(far: HubSide, topic: str, count: int) -> list[str]:
     heard = far.subscribe(topic, STRING, latched=True)
     far.wait(heard, count)
@@ -92,8 +128,8 @@ def _transforms(*children: str) -> dict:
     return {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": c, "transform": one} for c in children]}
 
 
-def _late_tf(far: HubSide) -> list[dict]:
-    heard = far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
+def _late_tf(far: HubSide, topic: str = "/tf_static") -> list[dict]:
+    heard = far.subscribe(topic, "tf2_msgs/TFMessage", latched=True)
     got = far.wait(heard, 1, 2)
     far.drop(heard)
     return got

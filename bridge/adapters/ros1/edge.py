@@ -159,7 +159,8 @@ class Ros1Edge(Edge):
             type_, md5, definition = facts.type, facts.md5, facts.definition
             qos = _LATCHED if facts.latching else _VOLATILE
             made_by = MadeBy.NATIVE if facts.native else MadeBy.MIDSPAN
-        return Endpoint(publisher_id(link), Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
+        name = publisher_id(link, latching=qos.latched)
+        return Endpoint(name, Kind.PUBLISHER, link.topic, type_, qos, made_by, link.node, md5, definition)
 
     @staticmethod
     def _subscriber(link: Link, look: Look) -> Endpoint:
@@ -252,8 +253,9 @@ class Ros1Edge(Edge):
         from bridge.adapters.ros1.subscription import Subscription
 
         subscription = Subscription(
-            topic, side_type.type_id, deliver, lanes=self._lanes, caller=self._caller, doubt=self._prober.doubt
-        )
+            topic, side_type.type_id, deliver,
+            lanes=self._lanes, caller=self._caller, doubt=self._prober.doubt, learned=self._prober.learned,
+        )  # fmt: skip
         opened = _Open(self, subscription)
         with self._lock:
             self._subscriptions.add(opened)

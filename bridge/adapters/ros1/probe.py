@@ -91,6 +91,14 @@ class Prober:
             self._open[link] = _Attempt(due=time.monotonic() + _FIRST_WAIT, trouble=trouble)
         self._changed()
 
+    def learned(self, link: Link, facts: Facts) -> None:
+        """A publisher said of itself what it is, when a subscription connected to it; it may have advertised anew."""
+        with self._lock:
+            if self._facts.get(link) in (None, facts):
+                return
+            self._facts[link] = facts
+        self._changed()
+
     def troubles(self) -> dict[Link, str]:
         """Publishers that did not answer, and why."""
         with self._lock:

@@ -32,9 +32,9 @@ _FIRST_WAIT = 0.2
 _LONGEST_WAIT = 5.0
 
 
-def publisher_id(link: Link) -> str:
-    """Id of a publisher's endpoint."""
-    return f"publisher {link.topic} {link.node} {link.uri}"
+def publisher_id(link: Link, *, latching: bool) -> str:
+    """Id of a publisher's endpoint; a node that advertises anew, now latched, is another publisher."""
+    return f"publisher {link.topic} {link.node} {link.uri}{' latched' if latching else ''}"
 
 
 class _Entry(_TopicImpl):  # type: ignore[misc]  # rospy has no types
@@ -88,10 +88,11 @@ class Subscription:
         lanes: Lanes,
         caller: Callable[[], str],
         doubt: Callable[[Link, str], None],
+        learned: Callable[[Link, Facts], None],
     ) -> None:
         self.topic = topic
         self._md5, self._deliver = md5, deliver
-        self._lanes, self._caller, self._doubt = lanes, caller, doubt
+        self._lanes, self._caller, self._doubt, self._learned = lanes, caller, doubt, learned
         self._lock = threading.Lock()
         self._sources: dict[Link, _Source] = {}
         self._closed = False
@@ -137,7 +138,8 @@ class Subscription:
             sock.close()
             self._doubt(link, "the publisher changed its type or its maker")
             return
-        endpoint = publisher_id(link)
+        self._learned(link, facts)
+        endpoint = publisher_id(link, latching=facts.latching)
         reader = Reader(
             sock, self.topic, link.uri,
             lambda payload: self._deliver(payload, endpoint, None),
