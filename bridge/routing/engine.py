@@ -171,14 +171,15 @@ class Engine:
                 wanted[RouteKey(endpoint.topic, endpoint.type, endpoint.type_id)].append(endpoint)
             else:
                 verdicts.append(Verdict.not_native(endpoint))
-        taken = {route.hub_topic: key for key, route in self._in.items()}
-        for key, endpoints in wanted.items():
-            self._follow_in(key, endpoints, taken, verdicts)
+        # What is gone makes room first: a side may have one type per topic, and the hub one topic per name.
         for key in [k for k in self._in if k not in wanted]:
             if self._in[key].static:
                 self._in[key].update([])
             else:
                 self._in.pop(key).close()
+        taken = {route.hub_topic: key for key, route in self._in.items()}
+        for key, endpoints in wanted.items():
+            self._follow_in(key, endpoints, taken, verdicts)
 
     def _follow_in(
         self, key: RouteKey, endpoints: list[Endpoint], taken: dict[str, RouteKey], verdicts: list[Verdict]
@@ -205,7 +206,7 @@ class Engine:
             if route is None:
                 return
             taken[hub_topic] = key
-        self._try(lambda: route.update(endpoints), verdict)
+        self._try(route, lambda: route.update(endpoints), verdict)
 
     def _open_in(
         self, key: RouteKey, hub_topic: str, endpoint: Endpoint, decision: Decision, verdict: Verdict
@@ -251,10 +252,14 @@ class Engine:
         for endpoint in self.hub.graph.publishers():
             if not endpoint.own:
                 groups[RouteKey(endpoint.topic, endpoint.type_name, endpoint.type_hash)].append(endpoint)
+        self._end_out([k for k in self._out if k[0] not in groups])
         live: set[tuple[RouteKey, str]] = set()
         for key, endpoints in groups.items():
             self._follow_out(key, endpoints, live, verdicts)
-        for out_key in [k for k in self._out if k not in live]:
+        self._end_out([k for k in self._out if k[0] in groups and k not in live])
+
+    def _end_out(self, out_keys: list[tuple[RouteKey, str]]) -> None:
+        for out_key in out_keys:
             if self._out[out_key].static:
                 self._out[out_key].update([], [])
             else:
@@ -310,7 +315,7 @@ class Engine:
             )  # fmt: skip
             self._out[out_key] = route
         live.add(out_key)
-        self._try(lambda: route.update(*endpoints), verdict)
+        self._try(route, lambda: route.update(*endpoints), verdict)
 
     def _convert(self, make: Callable[[], Conversion], verdict: Verdict) -> Conversion | None:
         try:
@@ -319,15 +324,17 @@ class Engine:
             verdict.refuse(str(err), err.cure)
             return None
 
-    def _try(self, update: Callable[[], None], verdict: Verdict) -> None:
+    def _try(self, route: Route, update: Callable[[], None], verdict: Verdict) -> None:
         """One route's failure is its own: it is reported and tried again at the next look."""
         try:
             update()
         except MessageTypeError as err:
             verdict.refuse(str(err), err.cure)
         except Exception as err:
-            if verdict.refuse(f"{type(err).__name__}: {err}", ""):
+            verdict.refuse(f"{type(err).__name__}: {err}", "")
+            if verdict.reason != route.refused:
                 _log.exception("%s %s", verdict.direction, verdict.topic)
+        route.refused = verdict.reason
 
     # -- reports -------------------------------------------------------------------------------------------------------
 

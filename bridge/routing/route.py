@@ -36,7 +36,8 @@ class RouteKey:
 class Route:
     """One topic that crosses in one direction.
 
-    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side.
+    ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` says what stands in the way
+    of an endpoint that the route needs, "" where it has them all.
     """
 
     direction = ""
@@ -50,6 +51,7 @@ class Route:
         self.conversion = conversion
         self.decision = decision
         self.counters = Counters()
+        self.refused = ""
         inwards = self.direction == "in"
         self.hub_type = conversion.target.name if inwards else conversion.source.name
         self.side_type = conversion.source.name if inwards else conversion.target.name
@@ -83,7 +85,7 @@ class Route:
             "type": self.hub_type,
             "side_type": self.side_type,
             "priority": priority.value,
-            "state": "active" if active else "idle",
+            "state": "refused" if self.refused else "active" if active else "idle",
             "sources": sources,
             "qos": qos_text(qos),
             **self.counters.as_dict(),

@@ -45,11 +45,9 @@ class Verdict:
         why = f"nobody publishes it; {nodes} would listen"
         return cls("out", topic, topic, type_name, Decision(allowed=True, why=why, name=topic), own=why)
 
-    def refuse(self, reason: str, cure: str) -> bool:
-        """Something stands in the way; whether that is news."""
-        self.refused, news = True, self.reason != reason
-        self.reason, self.cure = reason, cure
-        return news
+    def refuse(self, reason: str, cure: str) -> None:
+        """Something stands in the way."""
+        self.refused, self.reason, self.cure = True, reason, cure
 
     @property
     def kind(self) -> str:

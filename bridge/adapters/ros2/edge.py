@@ -158,6 +158,7 @@ class Ros2Edge(Edge):
         if self._participant is None or self._loop is None or self._graph is None:
             msg = "the ROS 2 edge is not started"
             raise RuntimeError(msg)
+        self._check_one_type(topic, side_type.name)
         subscription = Ros2Subscription(
             topic,
             self._types.message_class(side_type.name, side_type.type_id),
@@ -178,11 +179,23 @@ class Ros2Edge(Edge):
         if self._participant is None:
             msg = "the ROS 2 edge is not started"
             raise RuntimeError(msg)
+        self._check_one_type(topic, side_type.name)
         message_class = self._types.message_class(side_type.name, side_type.type_id)
         publisher = Ros2Publisher(topic, message_class, qos, self._participant, self._publisher_closed)
         with self._lock:
             self._publishers.add(publisher)
         return publisher
+
+    def _check_one_type(self, topic: str, type_name: str) -> None:
+        """A DDS participant has one type per topic; Fast DDS says so in words that nobody understands."""
+        with self._lock:
+            here: list[Ros2Subscription | Ros2Publisher] = [*self._subscriptions, *self._publishers]
+        other = next((e.type_name for e in here if e.topic == topic and e.type_name != type_name), None)
+        if other is not None:
+            raise MessageTypeError(
+                f"{topic} crosses on ROS 2 as {other} already, it cannot also be {type_name}",
+                f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
+            )
 
     def warnings(self) -> list[str]:
         """Native subscriptions that do not hear what we publish, and why."""

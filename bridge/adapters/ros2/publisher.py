@@ -49,6 +49,7 @@ class Ros2Publisher:
         closed: Callable[[Ros2Publisher], None],
     ) -> None:
         self.topic, self.qos = topic, qos
+        self.type_name = str(message_class.type_name)
         self._closed = closed
         self._participant, self._message_class = participant, message_class
         self._lock = threading.Lock()

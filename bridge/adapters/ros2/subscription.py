@@ -65,6 +65,7 @@ class Ros2Subscription:
     ) -> None:
         self.topic, self.qos, self.deliver, self.check = topic, qos, deliver, check
         self._message_class = message_class
+        self.type_name = str(message_class.type_name)
         self._participant, self._loop, self._graph = participant, loop, graph
         self._on_closed = closed
         self._lock = threading.Lock()

@@ -157,4 +157,4 @@ class TypeSupports:
         # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
         converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": capsule, **dict.fromkeys(converters, True)})
-        return meta(name[3], (), {"__slots__": ()})
+        return meta(name[3], (), {"__slots__": (), "type_name": type_name})

@@ -205,3 +205,15 @@ def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[
 
     until(more, "messages on the other one")
     assert len(closed) == count
+
+
+def test_a_second_type_of_one_topic_is_refused_in_plain_words(edge: RunningEdge) -> None:
+    edge.subscribe("/m/two", "std_msgs/msg/String")
+    for second in (
+        lambda: edge.subscribe("/m/two", "std_msgs/msg/Int32"),
+        lambda: edge.edge.advertise("/m/two", edge.type("std_msgs/msg/Int32"), Qos()),
+    ):
+        with pytest.raises(MessageTypeError, match="/m/two crosses on ROS 2 as std_msgs/msg/String already") as refused:
+            second()
+        assert "type: std_msgs/msg/Int32" in refused.value.cure
+    edge.edge.advertise("/m/two", edge.type("std_msgs/msg/String"), Qos()).close()
