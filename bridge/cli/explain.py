@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 def explain(client: Client, topic: str) -> Explanation:
     """Gather what is known of a topic; raises `CliError` where nobody knows it."""
-    decisions = ask_decisions(client, topic)
+    decisions = _decisions(client, topic)
     documents = [a.value for a in client.ask("status") if isinstance(a.value, dict)]
     client.settle()
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
@@ -94,13 +94,23 @@ def explain(client: Client, topic: str) -> Explanation:
     return Explanation(topic, paired, endpoints, notes)
 
 
+def _decisions(client: Client, topic: str) -> list[Decision]:
+    """What was decided of a topic; where it has another name on the hub, of what becomes of that too."""
+    decisions = ask_decisions(client, topic)
+    renamed = {d.hub_topic for d in decisions if d.decision == "bridged" and d.direction == "in"} - {topic}
+    for name in sorted(renamed):
+        decisions += [d for d in ask_decisions(client, name) if d.direction == "out" and d not in decisions]
+    return decisions
+
+
 def _route(decision: Decision, documents: Sequence[Document]) -> Document | None:
     if decision.decision != "bridged":
         return None
     for document in documents:
         if (document.get("daemon"), document.get("worker")) == (decision.daemon, decision.worker):
             for route in route_list(document):
-                if (route.get("direction"), route.get("topic")) == (decision.direction, decision.topic):
+                same = (route.get("direction"), route.get("topic")) == (decision.direction, decision.topic)
+                if same and decision.type in (route.get("type"), route.get("side_type")):
                     return route
     return None
 

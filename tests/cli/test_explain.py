@@ -48,6 +48,16 @@ def test_each_fate_is_said_with_its_cure(
         assert len(document["hub"]) == (1 if decision == "bridged" else 0), topic
 
 
+def test_a_topic_of_another_name_on_the_hub_is_followed_there(
+    midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
+) -> None:
+    engine(network, registry, closing)
+    told = {"decision": "bridged", "direction": "out", "topic": "/new", "hub_topic": "/new", "type": STRING, "why": "x"}
+    closing.append(FakeWorker(network, "ros2", explain=[told], status=status("ros2")))
+    decisions = midspan("explain", "/old", "--json").json()["decisions"]
+    assert [(d["direction"], d["hub_topic"]) for d in decisions] == [("in", "/new"), ("out", "/new")]
+
+
 def test_an_unknown_topic_has_its_nearest_names(
     midspan: Midspan, network: HubNetwork, registry: Registry, closing: list[Any]
 ) -> None:
@@ -63,7 +73,7 @@ def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, clos
         "direction": "out",
         "topic": "/scan",
         "hub_topic": "/scan",
-        "type": "t",
+        "type": "sensor_msgs/msg/LaserScan",
         "decision": "bridged",
         "why": "w",
     }
@@ -72,7 +82,7 @@ def test_the_flow_of_a_route_is_told(midspan: Midspan, network: HubNetwork, clos
     closing.append(FakeWorker(network, "ros2", status=document, explain=[decision]))
     closing.append(FakeWorker(network, "ros1", status=status("ros1", state="waiting", network=None), explain=[]))
     words = midspan("explain", "/scan").out
-    assert "hub -> ROS 2: /scan (t) crosses: w." in words
+    assert "hub -> ROS 2: /scan (sensor_msgs/msg/LaserScan) crosses: w." in words
     for text in (
         "100 messages, 9.8 msg/s",
         "last error: too short",
