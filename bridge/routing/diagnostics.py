@@ -12,6 +12,7 @@ from bridge.messages.errors import MessageError
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
+from bridge.routing.route import Route
 
 _log = logging.getLogger(__name__)
 
@@ -19,16 +20,22 @@ TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _PERIOD = 1.0
 _OK, _WARN, _ERROR = 0, 1, 2
+ROUTES_AT_ONCE = 100
+"""Routes told of in one message; more take turns, so that telling of a thousand delays no message that crosses."""
 
 
 class Diagnostics:
-    """Publishes one status for the worker and one for each route, once a second while the side is there."""
+    """Publishes one status for the worker and one for each route, once a second while the side is there.
+
+    Beyond `ROUTES_AT_ONCE` the routes take turns.
+    """
 
     def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str) -> None:
         self._edge, self._registry, self._engine = edge, registry, engine
         self._hardware_id = hardware_id
         self._publisher: EdgePublisher | None = None
         self._due = 0.0
+        self._turn = 0
         conversion = edge.from_hub(TYPE, registry.ros2(TYPE).type_id)
         self._convert, self._type = conversion.convert, conversion.target
 
@@ -55,7 +62,7 @@ class Diagnostics:
 
     def _array(self) -> dict[str, Any]:
         seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
-        routes = [route.status() for route in self._engine.routes()]
+        routes = [route.status() for route in self._whose_turn()]
         summary = self._engine.summary()
         worker = self._status(
             "worker", _OK, f"{summary.routes} routes, {summary.rate:.0f} msg/s", {"network": summary.network}
@@ -64,6 +71,12 @@ class Diagnostics:
             "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}},
             "status": [worker, *(self._route(route) for route in routes)],
         }
+
+    def _whose_turn(self) -> list[Route]:
+        routes = list(self._engine.routes())
+        start = self._turn if self._turn < len(routes) else 0
+        self._turn = start + ROUTES_AT_ONCE
+        return routes[start : self._turn]
 
     def _route(self, route: dict[str, Any]) -> dict[str, Any]:
         drops = {f"dropped ({reason})": n for reason, n in route["drops"].items() if n}
