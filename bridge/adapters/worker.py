@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,12 +17,18 @@ from bridge.adapters.base import Edge
 from bridge.config.model import Config
 from bridge.daemon.state import state_folder
 from bridge.daemon.worker import Health, Worker
+from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.engine import Engine
 
 _log = logging.getLogger(__name__)
+
+_STOPPING = "the worker is stopping"
+
+SWITCH_INTERVAL = 0.0005
+"""Seconds after which a thread that only computes gives way to one that has a message."""
 
 EDGES = {"ros1": "bridge.adapters.ros1.edge:Ros1Edge", "ros2": "bridge.adapters.ros2.edge:Ros2Edge"}
 """Edge class of each side; imported in that side's worker alone."""
@@ -51,6 +58,8 @@ class BridgeWorker(Worker):
     def start(self, config: Config) -> None:
         """Open the hub session and begin to join the side."""
         self._config = config
+        # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
+        sys.setswitchinterval(SWITCH_INTERVAL)
         state = state_folder(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         edge = make_edge(self.side, config, registry, state)
@@ -74,11 +83,12 @@ class BridgeWorker(Worker):
         self._process.cpu_percent()
 
     def reload(self, config: Config) -> bool:
-        """Take up new rules; other changes need a restart."""
+        """Take up new rules; other changes of what it uses need a restart."""
         old = self._config
         if old is None or self._engine is None:
             return False
-        if config.model_copy(update={"routing": old.routing, "log": old.log}) != old:
+        fixed = ("name", "state", "hub", "types", self.side)
+        if any(getattr(config, part) != getattr(old, part) for part in fixed):
             return False
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
@@ -122,16 +132,16 @@ class BridgeWorker(Worker):
         self._failure = reason
 
     def _status(self, _params: dict[str, Any]) -> dict[str, Any]:
-        assert self._config is not None
-        assert self._hub is not None
-        assert self._engine is not None
-        document = self._engine.status()
+        engine, hub, config = self._engine, self._hub, self._config
+        if engine is None or hub is None or config is None:
+            raise HubError(_STOPPING)
+        document = engine.status()
         return {
-            "daemon": self._config.name,
+            "daemon": config.name,
             "worker": self.side,
             "side": self.side,
             "pid": os.getpid(),
-            "zid": self._hub.zid,
+            "zid": hub.zid,
             "state": "waiting" if document["network"] is None else "running",
             "uptime": round(time.monotonic() - self._started, 1),
             "cpu": round(self._process.cpu_percent() / 100, 4),
@@ -140,12 +150,15 @@ class BridgeWorker(Worker):
         }
 
     def _explain(self, params: dict[str, Any]) -> list[dict[str, Any]]:
-        assert self._engine is not None
-        return self._engine.explain(str(params.get("topic", "")))
+        return self._running().explain(str(params.get("topic", "")))
 
     def _tap(self, params: dict[str, Any]) -> dict[str, str]:
-        assert self._engine is not None
-        return self._engine.tap(str(params.get("topic", "")), float(params.get("seconds", 10.0)))
+        return self._running().tap(str(params.get("topic", "")), float(params.get("seconds", 10.0)))
+
+    def _running(self) -> Engine:
+        if self._engine is None:
+            raise HubError(_STOPPING)
+        return self._engine
 
     def _time(self, _params: dict[str, Any]) -> dict[str, int]:
         return {"time_ns": time.time_ns()}
