@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bridge.config.model import Config
 from tests.contract.hubside import HubSide
 from tests.contract.side import Side
 from tests.support.wait import until
@@ -63,7 +64,10 @@ def test_reload_touches_only_what_changed(side: Side, far: HubSide, config) -> N
     far.until_published("/closed")
     far.publish_until(peer, kept, {"data": "one"}, lambda: far.wait(heard, 1, 0.2))
     gid = far.publishers("/kept")[0].gid
-    bridge.reload(config(rules=[{"topic": "/closed", "deny": True}]))
+    other = "ros2" if side.name == "ros1" else "ros1"
+    elsewhere = {other: Config.model_validate({other: {"node": "renamed"}}).model_dump()[other]}
+    rules = config(rules=[{"topic": "/closed", "deny": True}]).model_dump(by_alias=True)
+    bridge.reload(Config.model_validate({**rules, **elsewhere}))
     far.until_unpublished("/closed")
     peer.publish(kept, {"data": "two"})
     assert [m["data"] for m in far.wait_without(heard, "one", 1)] == ["two"]
