@@ -100,6 +100,10 @@ class EdgeListener(Protocol):
 class EdgeSubscription(Protocol):
     """A subscription that the bridge holds on the side."""
 
+    @property
+    def lost(self) -> int:
+        """Messages so far that the side did not bring, as far as it tells; else 0."""
+
     def close(self) -> None:
         """Stop delivering and give the endpoint back. Safe to call twice."""
 

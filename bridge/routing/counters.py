@@ -7,8 +7,8 @@ from collections import deque
 from typing import Any
 
 DROPS = ("queue", "rate", "stale", "bad", "lost", "slow", "unknown")
-"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh, missed by a slow
-subscriber of the side, source unknown."""
+"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh or DDS, missed by a
+slow subscriber of the side, source unknown."""
 
 _LATENCIES = 512
 

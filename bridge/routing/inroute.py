@@ -210,4 +210,6 @@ class InRoute(Route):
 
     def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
+        if self._subscription is not None:
+            self.counters.drops["lost"] = self._subscription.lost
         return self.describe(self._priority, self._qos, len(self._sources), active=bool(self._sources))

@@ -14,7 +14,7 @@ from bridge.routing.rules import Decision
 
 _log = logging.getLogger(__name__)
 
-QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 200}
+QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 1000}
 """Messages that wait for a side at most, where no rule says otherwise."""
 
 STREAM_DEPTH = 50

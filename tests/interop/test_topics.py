@@ -95,6 +95,20 @@ def test_a_best_effort_sensor_is_heard(running: Deployment) -> None:
     assert cross(ros2, out, ros1, heard, {"data": "measured"}) == {"data": "measured"}
 
 
+def test_a_burst_of_a_thousand_crosses_whole(running: Deployment) -> None:
+    ros1, ros2 = running.ros1(), running.ros2()
+    for sender, hearer, topic in ((ros1, ros2, "/burst_a"), (ros2, ros1, "/burst_b")):
+        heard = hearer.subscribe(topic, STRING, depth=2000)
+        out = sender.advertise(topic, STRING, depth=2000, **({"queue": 2000} if sender is ros1 else {}))
+        cross(sender, out, hearer, heard, {"data": "first"})
+        sender.publish(out, {"data": "burst"}, times=1000)
+        until(
+            lambda hearer=hearer, heard=heard: hearer.wait(heard, 1001, 0.5).count({"data": "burst"}) == 1000,
+            f"the burst on {topic}",
+            20,
+        )
+
+
 def test_incompatible_qos_is_reported(running: Deployment) -> None:
     ros1, ros2 = running.ros1(), running.ros2()
     ros1.advertise("/volatile", STRING)

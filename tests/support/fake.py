@@ -111,6 +111,7 @@ class FakeNetwork:
 class _Subscription:
     network: FakeNetwork
     reader: Reader
+    lost: int = 0
 
     def close(self) -> None:
         self.network.remove(self.reader)

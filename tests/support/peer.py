@@ -2,7 +2,7 @@
 
 One command a line, one answer a line, in order. Commands (``do``):
 
-``advertise`` topic, type, latched, best_effort, depth -> id; ``publish`` id, message (a dict of the fields);
+``advertise`` topic, type, latched, best_effort, depth -> id; ``publish`` id, message (a dict of the fields), times;
 ``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds -> messages (all so far, after
 ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name: [types]}, publishers {topic: [nodes]},
 subscriptions {topic: [nodes]}; ``exit``. An answer has ``ok``; when false, ``error``.
@@ -47,9 +47,9 @@ class Peer(Process):
         """Subscribe; the endpoint's id."""
         return int(self.ask("subscribe", topic=topic, type=type_, **qos)["id"])
 
-    def publish(self, endpoint: int, message: dict[str, Any]) -> None:
-        """Publish one message, given by its fields."""
-        self.ask("publish", id=endpoint, message=message)
+    def publish(self, endpoint: int, message: dict[str, Any], times: int = 1) -> None:
+        """Publish one message, given by its fields; ``times`` in a row."""
+        self.ask("publish", id=endpoint, message=message, times=times)
 
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
         """All messages so far, once ``count`` have come or the time is over."""

@@ -118,9 +118,11 @@ class Peer:
     def do_advertise(self, topic, type, latched=False, queue=100, **_):
         return self.add(rospy.Publisher(topic, message_class(type), latch=latched, queue_size=queue, tcp_nodelay=True))
 
-    def do_publish(self, id, message, **_):
+    def do_publish(self, id, message, times=1, **_):
         publisher = self.endpoints[id]
-        publisher.publish(fill(publisher.data_class(), message))
+        filled = fill(publisher.data_class(), message)
+        for _ in range(times):
+            publisher.publish(filled)
         return {}
 
     def do_subscribe(self, topic, type, queue=None, **_):

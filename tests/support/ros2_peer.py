@@ -92,7 +92,9 @@ class Peer:
 
     def publish(self, params: dict[str, Any]) -> dict[str, Any]:
         endpoint = self.endpoints[params["id"]]
-        endpoint.handle.publish(fill(endpoint.type(), params["message"]))
+        message = fill(endpoint.type(), params["message"])
+        for _ in range(params.get("times", 1)):
+            endpoint.handle.publish(message)
         return {}
 
     def wait(self, params: dict[str, Any]) -> dict[str, Any]:

@@ -280,6 +280,11 @@ class _Open:
     def __init__(self, edge: Ros1Edge, subscription: Subscription) -> None:
         self._edge, self.subscription = edge, subscription
 
+    @property
+    def lost(self) -> int:
+        """TCP loses nothing, and a publisher does not tell what its queue dropped."""
+        return 0
+
     def close(self) -> None:
         """Stop delivering and give the registration back."""
         self._edge.closed(self)

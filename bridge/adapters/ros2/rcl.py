@@ -101,11 +101,13 @@ class Taken(NamedTuple):
         payload: CDR with its encapsulation header, exactly as long as it was sent.
         gid: 16 bytes; the first 12 are the GUID prefix of the participant that published it.
         source_ns: the publisher's time stamp, system clock.
+        sequence: the publisher's number of the message.
     """
 
     payload: bytes
     gid: bytes
     source_ns: int
+    sequence: int
 
 
 class Taker:
@@ -128,7 +130,8 @@ class Taker:
             raise RclError("rcl_take_serialized_message", code)
         content = self._bytes
         payload = ctypes.string_at(content.buffer, content.length)
-        return Taken(payload, bytes(self._info.gid), self._info.source_timestamp)
+        info = self._info
+        return Taken(payload, bytes(info.gid), info.source_timestamp, info.publication_sequence)
 
     def close(self) -> None:
         """Free the buffer."""

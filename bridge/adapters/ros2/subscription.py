@@ -24,10 +24,13 @@ from bridge.adapters.ros2.participant import Participant
 from bridge.hub.qos import Durability, Qos, Reliability
 
 LATCHED_DEPTH = 128
-"""Depth of a reader of latched publishers: KEEP_LAST counts over all of a reader's writers, and they come at once."""
+"""Least depth of a reader of latched publishers: KEEP_LAST counts over all its writers, and they come at once."""
 
 VOLATILE_DEPTH = 32
 """Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
+
+BURST_DEPTH = 1000
+"""Least depth where messages are not bulk: room for a burst, as a publisher's own depth cannot be known from DDS."""
 
 _LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LOG_SECONDS = 10.0
@@ -62,12 +65,15 @@ class Ros2Subscription:
         graph: Graph,
         check: Callable[[bytes], bytes],
         closed: Callable[[Ros2Subscription], None],
+        bulk: bool,
     ) -> None:
         self.topic, self.qos, self.deliver, self.check = topic, qos, deliver, check
         self._message_class = message_class
         self.type_name = str(message_class.type_name)
         self._participant, self._loop, self._graph = participant, loop, graph
         self._on_closed = closed
+        self._bulk = bulk
+        self.lost = 0
         self._lock = threading.Lock()
         self._readers: dict[Class, ClassReader] = {}
         self._sources: dict[bytes, _Source] = {}
@@ -96,6 +102,8 @@ class Ros2Subscription:
 
     def _open(self, reader_class: Class) -> ClassReader:
         least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
+        if not self._bulk and self.qos.depth > 1:
+            least = BURST_DEPTH
         qos = replace(
             self.qos,
             reliability=reader_class.reliability,
@@ -171,6 +179,7 @@ class ClassReader(Reader):
         self._pointer = int(handle.pointer)
         self.topic = owner.topic
         self._large = False
+        self._sequences: dict[str, int] = {}
 
     @property
     def handle(self) -> Any:
@@ -189,11 +198,12 @@ class ClassReader(Reader):
             taken = taker.take(self._pointer, large=self._large)
             if taken is None or owner.closed:
                 return False
-            payload, gid, source_ns = taken
+            payload, gid, source_ns, sequence = taken
             self._large = len(payload) >= rcl.LARGE
             source = owner.source(gid, self._class)
             if source is None:
                 continue
+            self._count(source, sequence)
             try:
                 if not payload.startswith(_LITTLE_ENDIAN_CDR):
                     payload = owner.check(payload)
@@ -201,6 +211,12 @@ class ClassReader(Reader):
             except Exception:
                 owner.failed(source)
         return True
+
+    def _count(self, source: str, sequence: int) -> None:
+        """Count what is missing between two messages of a publisher: overwritten in a full history, or never here."""
+        last = self._sequences.get(source, sequence)
+        self._owner.lost += max(sequence - last - 1, 0)
+        self._sequences[source] = max(sequence, last)
 
     def destroy(self) -> None:
         """See `Reader`."""
