@@ -22,8 +22,13 @@ LEASE_MS = 3000
 CLIENT_WAIT_MS = 3000
 """How long a session in zenoh's client mode waits for its router to answer when it is opened."""
 
-_PRIORITIES = ("interactive_high", "data_high", "data")
-"""Queues of each link that Midspan's samples use. Their default length of 2 packets loses samples of a short burst."""
+_QUEUE = {
+    # packets that wait for a link; with zenoh's 2 a short burst of samples is lost on a busy machine
+    "size": dict.fromkeys(("interactive_high", "data_high", "data"), 16),
+    # microseconds that a message of many packets may wait for room before it is dropped; with zenoh's 50,000 one of
+    # 10 MB is lost on a busy machine, while the first one for a peer that stands still delays the others by so much
+    "congestion_control": {"drop": {"max_wait_before_drop_fragments": 200_000}},
+}
 
 POOL = 16 << 20
 """Bytes of shared memory that one session may use; the workers of one machine fit a /dev/shm of 64 MB."""
@@ -116,7 +121,7 @@ def _common_tree(max_payload: int) -> Tree:
         "timestamping": {"enabled": True},
         "transport": {
             "link": {
-                "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": {"size": dict.fromkeys(_PRIORITIES, 16)}},
+                "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": _QUEUE},
                 "rx": {"max_message_size": max_payload + 65536},
             },
         },

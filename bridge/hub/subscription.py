@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable
 from threading import Lock
 
 import zenoh
-from zenoh import ext
 
 from bridge.hub import attachment
 from bridge.hub.errors import WireError
 from bridge.hub.graph import HubGraph
+from bridge.hub.history import History
 from bridge.hub.publisher import cache_depth
 from bridge.hub.qos import Qos, Reliability
 
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
 _MAX_GAP = 1_000_000
+_MAX_HELD = 1000
+"""Samples of one publisher that are held back at most, beyond its history."""
 
 
 class HubSample:
@@ -48,23 +51,28 @@ class HubSample:
 class _Source:
     """What a subscription remembers of one publisher."""
 
-    __slots__ = ("sequence", "time_ns", "zid")
+    __slots__ = ("held", "sequence", "time_ns", "zid")
 
     def __init__(self, zid: str) -> None:
         self.zid = zid
         self.sequence: int | None = None
         self.time_ns = 0
+        self.held: dict[int, HubSample] = {}
 
-    def gap(self, sequence: int, time_ns: int) -> int | None:
+    def gap(self, sample: HubSample) -> int | None:
         """Samples missing before this one; None where it was delivered already."""
-        last, last_time = self.sequence, self.time_ns
-        if last is not None and sequence <= last and 0 < time_ns <= last_time:
-            return None
-        self.sequence, self.time_ns = sequence, time_ns
-        if last is None or sequence <= last:
+        last = self.sequence
+        if last is None:
             return 0
-        missing = sequence - last - 1
+        if sample.sequence <= last:
+            # numbered anew by a publisher that keeps its GID, unless it is not newer
+            return None if 0 < sample.source_time_ns <= self.time_ns else 0
+        missing = sample.sequence - last - 1
         return missing if missing < _MAX_GAP else 0
+
+    def passed(self, sample: HubSample) -> None:
+        """The sample is delivered."""
+        self.sequence, self.time_ns = sample.sequence, sample.source_time_ns
 
 
 class HubSubscription:
@@ -94,79 +102,148 @@ class HubSubscription:
         self._graph = graph
         self._own = str(session.zid())
         self._limit = limit
+        self._depth = cache_depth(qos)
+        self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
         self._callback = callback
         self._on_close = on_close
         self._sources: dict[bytes, _Source] = {}
+        self._asked: Counter[str] = Counter()
+        # never taken by `close`, whose caller may hold a lock that the callback waits for
         self._lock = Lock()
+        self._closing = Lock()
         self._closed = False
+        self._history = History(session, key, self._depth, self, recovers=self._recovers)
         # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
-        handler = zenoh.handlers.Callback(self._on_sample, indirect=False)
-        self._subscriber: zenoh.Subscriber[None] | ext.AdvancedSubscriber[None]
+        self._subscriber: zenoh.Subscriber[None] = session.declare_subscriber(
+            key,
+            zenoh.handlers.Callback(self._on_latched if qos.latched else self._on_sample, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
         if qos.latched:
-            recovers = qos.reliability is Reliability.RELIABLE
-            self._subscriber = ext.declare_advanced_subscriber(
-                session,
-                key,
-                handler,
-                allowed_origin=zenoh.Locality.REMOTE,
-                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=cache_depth(qos)),
-                recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if recovers else None,
-                subscriber_detection=True,
-            )
-        else:
-            self._subscriber = session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
+            self._history.open()
         self._withdraw = graph.announce(token)
 
     def close(self) -> None:
         """Hear no more. Safe to call twice."""
-        with self._lock:
+        with self._closing:
             closed, self._closed = self._closed, True
         if not closed:
             self._withdraw()
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._history.close()
             self._on_close(self)
 
+    # -- volatile ------------------------------------------------------------------------------------------------------
+
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        if self._closed or sample.kind != zenoh.SampleKind.PUT:
+        message = self._read(sample)
+        if message is None:
             return
+        # zenoh may call from several threads at once, one per link
+        with self._lock:
+            source = self._source(message, sample)
+            gap = None if source.zid == self._own else source.gap(message)
+            if gap is None:
+                return
+            source.passed(message)
+            self.lost += gap
+        self._callback(message)
+
+    # -- latched -------------------------------------------------------------------------------------------------------
+
+    def _on_latched(self, sample: zenoh.Sample) -> None:
+        message = self._read(sample)
+        if message is None:
+            return
+        self._history.saw(sample.source_info)
+        with self._lock:
+            source = self._source(message, sample)
+            zid, gap = source.zid, source.gap(message)
+            if zid == self._own or gap is None:
+                return
+            # of a publisher that keeps one sample the newest is all that counts
+            deep = self._depth > 1 and len(source.held) < self._depth + _MAX_HELD
+            # a live sample may come before its publisher's token, by which it would have been asked
+            past = gap > 0 if source.sequence is not None else message.sequence > 1
+            missing = deep and past and bool(zid) and (self._recovers or source.sequence is None)
+            if missing or (deep and self._asked[zid]):
+                source.held[message.sequence] = message
+            else:
+                self._release(source)
+                self._deliver(source, message)
+            missing = missing and not self._asked[zid]
+        if missing:
+            self._history.ask_session(zid)
+
+    def asked(self, zid: str) -> None:
+        """A session's publishers were asked for what they keep; see `History`."""
+        with self._lock:
+            self._asked[zid] += 1
+
+    def came(self, sample: zenoh.Sample) -> None:
+        """One of the samples that a publisher keeps; see `History`."""
+        message = self._read(sample)
+        if message is None:
+            return
+        self._history.saw(sample.source_info)
+        with self._lock:
+            source = self._source(message, sample)
+            if source.zid != self._own and source.gap(message) is not None:
+                source.held[message.sequence] = message
+
+    def done(self, zid: str) -> None:
+        """All that was asked of a session has come; see `History`."""
+        with self._lock:
+            self._asked[zid] -= 1
+            if self._asked[zid] > 0:
+                return
+            del self._asked[zid]
+            for source in self._sources.values():
+                if source.held and not self._asked[source.zid]:
+                    self._release(source)
+
+    def _release(self, source: _Source) -> None:
+        held, source.held = source.held, {}
+        for sequence in sorted(held):
+            self._deliver(source, held[sequence])
+
+    def _deliver(self, source: _Source, message: HubSample) -> None:
+        gap = source.gap(message)
+        if gap is not None and not self._closed:
+            source.passed(message)
+            self.lost += gap
+            self._callback(message)
+
+    # -- both ----------------------------------------------------------------------------------------------------------
+
+    def _read(self, sample: zenoh.Sample) -> HubSample | None:
+        if self._closed or sample.kind != zenoh.SampleKind.PUT:
+            return None
         payload, attached = sample.payload, sample.attachment
         if attached is None:
             self._refuse("without the attachment that rmw_zenoh puts on each sample")
-            return
+            return None
         if len(payload) > self._limit:
             self._refuse(f"{len(payload)} bytes, more than {self._limit}")
-            return
+            return None
         try:
             sequence, time_ns, gid = attachment.unpack(attached.to_bytes())
         except WireError as err:
             self._refuse(str(err))
-            return
-        # zenoh may call from several threads at once, one per link
-        with self._lock:
-            source = self._sources.get(gid)
-            if source is None:
-                source = self._new_source(gid)
-            if not source.zid:
-                source.zid = self._zid(sample, gid)
-            zid = source.zid
-            # zenoh's locality does not hold for what comes from caches
-            if zid == self._own:
-                return
-            gap = source.gap(sequence, time_ns)
-            if gap is None:
-                return
-            self.lost += gap
-        self._callback(HubSample(payload, sequence, time_ns, gid, zid))
+            return None
+        return HubSample(payload, sequence, time_ns, gid, "")
 
-    def _new_source(self, gid: bytes) -> _Source:
-        if len(self._sources) >= _MAX_SOURCES:
-            del self._sources[next(iter(self._sources))]
-        source = self._sources[gid] = _Source("")
+    def _source(self, message: HubSample, sample: zenoh.Sample) -> _Source:
+        source = self._sources.get(message.gid)
+        if source is None:
+            if len(self._sources) >= _MAX_SOURCES:
+                del self._sources[next(iter(self._sources))]
+            source = self._sources[message.gid] = _Source("")
+        if not source.zid:
+            info = sample.source_info
+            source.zid = self._graph.zid_of(message.gid) if info is None else str(info.source_id.zid)
+        message.zid = source.zid
         return source
-
-    def _zid(self, sample: zenoh.Sample, gid: bytes) -> str:
-        info = sample.source_info
-        return self._graph.zid_of(gid) if info is None else str(info.source_id.zid)
 
     def _refuse(self, why: str) -> None:
         level = logging.DEBUG if self.refused else logging.WARNING
