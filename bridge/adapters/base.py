@@ -80,11 +80,13 @@ class Conversion:
     """How one type's bytes get from one wire to another; ``convert`` is None where the bytes are the same.
 
     ``convert(payload: bytes) -> bytes`` raises `bridge.messages.errors.ConversionError` for a bad message.
+    ``left_out`` names the fields of a ROS 1 message that get lost, because the target has none for them.
     """
 
     source: SideType
     target: SideType
     convert: Callable[[bytes], bytes] | None
+    left_out: tuple[str, ...] = ()
 
 
 class EdgeListener(Protocol):

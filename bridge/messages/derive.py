@@ -50,7 +50,9 @@ def derive_ros1(ros2: Schema, counterpart: Counterpart) -> Schema:
     for field in ros2.root.fields:
         if field.type.base == "wstring":
             msg = f"{ros2.name} cannot be said in ROS 1: field {field.name} is a wstring"
-            raise MessageTypeError(msg)
+            raise MessageTypeError(
+                msg, "map it by a rule to a ROS 1 message that leaves the field out (types.mapping_rules)"
+            )
         base = _TIMES_BACK.get(field.type.base) or _nested(ros2, field.type, counterpart, types)
         length = field.type.length if field.type.shape.value == "array" else 0
         fields.append(Field(field.name, FieldType(base, field.type.shape, length)))

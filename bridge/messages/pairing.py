@@ -64,6 +64,21 @@ def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
     return table
 
 
+def left_out(pairs: PairTable, rules: Rules) -> tuple[str, ...]:
+    """The ROS 1 fields that have no counterpart, as ``package/Name.field``, but for those that a rule leaves out."""
+    found: list[str] = []
+    for pair in pairs.values():
+        if rules.fields(pair.ros1.name, pair.ros2.name) is None:
+            mapped = {path1[0] for path1, _ in pair.fields}
+            found += [f"{pair.ros1.name}.{name}" for name in _named(pair.ros1) if name not in mapped]
+    return tuple(found)
+
+
+def _named(ros1: Definition) -> list[str]:
+    """The fields that need a counterpart: all but a header's ``seq``."""
+    return [field.name for field in ros1.fields if (ros1.name, field.name) != ("std_msgs/Header", "seq")]
+
+
 def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
     """Whether two types and all that they nest are a pair in which each field has its counterpart."""
     try:
@@ -72,9 +87,8 @@ def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
         return False
     for pair in pairs.values():
         mapped = {path2 for _, path2 in pair.fields}
-        named = [field for field in pair.ros1.fields if (pair.ros1.name, field.name) != ("std_msgs/Header", "seq")]
         if rules.fields(pair.ros1.name, pair.ros2.name) is None and not (
-            len(mapped) == len(named) == len(pair.ros2.fields)
+            len(mapped) == len(_named(pair.ros1)) == len(pair.ros2.fields)
         ):
             return False
     return True

@@ -16,7 +16,7 @@ from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type
-from bridge.messages.pairing import pair_types, says_the_same
+from bridge.messages.pairing import left_out, pair_types, says_the_same
 from bridge.messages.rules import Rules
 from bridge.messages.sources import Tree, ros1_sources, ros2_sources
 from bridge.messages.text import full_text, own_text
@@ -198,10 +198,12 @@ class Registry:
         key = (*(side.name for side in sides), *(side.type_id for side in sides))
         if key not in self._converters:
             if source.world is World.ROS1:
-                convert = ros1_to_cdr(source, target, pair_types(source, target, self._rules))
+                pairs = pair_types(source, target, self._rules)
+                convert = ros1_to_cdr(source, target, pairs)
+                self._converters[key] = Conversion(*sides, convert, left_out(pairs, self._rules))
             else:
                 convert = cdr_to_ros1(source, target, pair_types(target, source, self._rules))
-            self._converters[key] = Conversion(*sides, convert)
+                self._converters[key] = Conversion(*sides, convert)
         return self._converters[key]
 
     def _find_ros1(self, name: str, md5: str) -> Schema:

@@ -371,8 +371,16 @@ class Engine:
             "network": self._network,
             "routes": sorted((r.status() for r in self.routes()), key=lambda r: (str(r["topic"]), str(r["direction"]))),
             "refused": [v.as_dict() for v in self.verdicts() if v.refused],
-            "warnings": self.edge.warnings(),
+            "warnings": [*self.edge.warnings(), *self._left_out()],
         }
+
+    def _left_out(self) -> list[str]:
+        return sorted({
+            f"{route.side_topic}: {', '.join(route.conversion.left_out)} does not cross: this machine's"
+            f" {route.hub_type} has no such field (the publisher's md5 is {route.conversion.source.type_id})"
+            for route in list(self._in.values())
+            if route.conversion.left_out
+        })  # fmt: skip
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
         """Everything that was decided of a topic, by its name on the side or on the hub; of all topics for ``""``."""

@@ -131,6 +131,9 @@ def test_refused_types_and_differing_definitions() -> None:
     assert (refused.result, refused.cure) == (Result.FAIL, "c")
     assert "/a (x/A, ros1 -> hub)" in refused.seen
     assert (hashes.result, "/b" in hashes.seen) == (Result.FAIL, True)
+    deaf = "/c: /old does not hear us: it asks for x/C with md5 1, we publish x/C with md5 2"
+    warned = only(types.look_at_hashes(around(hub=hub({"worker": "ros1", "warnings": [deaf, "/d: other"]}))))
+    assert (warned.result, warned.seen) == (Result.WARN, deaf)
     many = hub({"worker": "ros1", "refused": [unknown] * 30})
     assert "and 10 more" in types.look_at_refused(around(hub=many))[-1].seen
     nothing = around(hub=hub({"worker": "ros1"}))

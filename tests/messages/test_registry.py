@@ -258,6 +258,15 @@ def test_fields_on_one_side_get_defaults(
     assert len(back(convert(message))) > 0
 
 
+def test_fields_of_ros1_that_get_lost_are_named(tmp_path: Path):
+    registry = with_ros2(tmp_path, "std_msgs/Header header\nuint8 b\n")
+    header = SEPARATOR + "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
+    more = "Header header\nuint8 b\nfloat64 extra\n"
+    assert registry.ros1_to_hub("my_msgs/Thing", definition=more + header).left_out == ("my_msgs/Thing.extra",)
+    assert registry.ros1_to_hub("std_msgs/Header").left_out == ()
+    assert registry.ros1_to_hub("visualization_msgs/Marker").left_out == ()
+
+
 def test_a_folder_serves_both_worlds(tmp_path: Path):
     """Whichever world's spelling a file has, the other world's type comes of it."""
     folder = tmp_path / "defs" / "my_msgs"

@@ -147,6 +147,11 @@ class Ros1Edge(Edge):
             warnings.append(f"no ROS 1 master: {self._master.trouble}")
         for link, trouble in sorted(self._prober.troubles().items()):
             warnings.append(f"{link.topic}: its publisher {link.node} does not tell its type: {trouble}")
+        heard = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()
+        turned_away = self._node.turned_away() if self._node is not None else {}
+        for (topic, node), why in sorted(turned_away.items()):
+            if (topic, node) in heard:
+                warnings.append(f"{topic}: {node} does not hear us: {why}")
         return warnings
 
     @staticmethod

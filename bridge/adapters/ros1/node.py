@@ -36,6 +36,7 @@ _GREETING_SECONDS = 5.0
 _MAX_GREETINGS = 64
 _BACKLOG = 128
 _ACCEPT_PAUSE = 0.5
+_MAX_TURNED_AWAY = 1000
 
 Changed = Callable[[], None]
 
@@ -109,6 +110,7 @@ class Node:
         # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
+        self._turned_away: dict[tuple[str, str], str] = {}
         self.rename(name)
         self._start_server()
         self._server = XmlRpcNode(0, _Handler(name, master_uri, _Notes(changed), asked_to_stop))
@@ -151,6 +153,10 @@ class Node:
     def drop_dead_connections() -> None:
         """Let rospy close the connections whose peers are gone."""
         registration.get_topic_manager().check_all()
+
+    def turned_away(self) -> dict[tuple[str, str], str]:
+        """Subscribers, by topic and node, that ask for another definition of the type than we publish; and which."""
+        return dict(self._turned_away)
 
     def stop(self) -> None:
         """Close everything; the master is told by whoever registered."""
@@ -205,8 +211,20 @@ class Node:
     def _admit(self, sock: DeadlineSocket, address: Any, header: dict[str, str]) -> str:
         """Hand the peer to rospy; "" or why it is not admitted."""
         if "topic" in header:
-            return str(self._tcpros.topic_connection_handler(sock, address, header) or "")
+            error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
+            self._note_type(header, error)
+            return error
         if "service" in header:
             sock.deadline = math.inf
             return str(self._tcpros.service_connection_handler(sock, address, header) or "")
         return "neither a topic nor a service is named"
+
+    def _note_type(self, header: dict[str, str], error: str) -> None:
+        """Remember who cannot hear us because of its type; a node tells so on its own side alone, if at all."""
+        topic, node, md5 = header["topic"], header.get("callerid", ""), header.get("md5sum", "*")
+        publication = registration.get_topic_manager().get_publisher_impl(topic)
+        ours = getattr(publication, "data_class", None)
+        self._turned_away.pop((topic, node), None)
+        if error and ours is not None and md5 not in {"*", ours._md5sum} and len(self._turned_away) < _MAX_TURNED_AWAY:
+            theirs = f"{header.get('type', ours._type)} with md5 {md5}"
+            self._turned_away[topic, node] = f"it asks for {theirs}, we publish {ours._type} with md5 {ours._md5sum}"

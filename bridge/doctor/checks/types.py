@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from bridge.adapters.ros2.environment import available
 from bridge.doctor.around import Around, Document
 from bridge.doctor.finding import Finding, fail, ok, skip, warn
-from bridge.doctor.hubtypes import conflicts
+from bridge.doctor.hubtypes import CURE, conflicts
 from bridge.interfaces.compiler import Compiler
 from bridge.interfaces.errors import BuildError
 
@@ -27,6 +27,7 @@ def look_at_hashes(around: Around) -> Sequence[Finding]:
     if around.hub.error:
         return [skip("the hub does not answer")]
     findings = _refusals(around, differing=True)
+    findings += [warn(text, CURE) for text in _warnings(around) if "md5" in text][:_SHOWN]
     findings += [fail(conflict.text, conflict.cure) for conflict in conflicts(around.hub.endpoints)][:_SHOWN]
     return findings or [ok("no definition differs")]
 
@@ -52,6 +53,11 @@ def _refusals(around: Around, *, differing: bool) -> list[Finding]:
                 found.append(_refusal(document, entry, reason))
     more = len(found) - _SHOWN
     return found[:_SHOWN] + ([fail(f"and {more} more", "'midspan status' shows all")] if more > 0 else [])
+
+
+def _warnings(around: Around) -> list[str]:
+    found = (document.get("warnings") for document in around.hub.documents)
+    return [str(text) for texts in found if isinstance(texts, list) for text in texts]
 
 
 def _refusal(document: Document, entry: Document, reason: str) -> Finding:

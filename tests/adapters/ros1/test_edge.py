@@ -170,6 +170,20 @@ def test_late_joiners_get_what_each_source_left(master, edge):
             assert latest(again.wait(inbox, 3)) == ["live", "last c", "end"]
 
 
+def test_a_subscriber_with_another_definition_is_named(master, edge):
+    publisher = edge.ask("advertise", topic="/version", type="std_msgs/String")["id"]
+    warnings = lambda: [w for w in edge.ask("status")["warnings"] if w.startswith("/version: ")]  # noqa: E731
+    with master.peer("old_version") as peer:
+        md5 = peer.ask("define", type="std_msgs/String", definition="string data\nint32 extra\n")["md5"]
+        peer.subscribe("/version", "std_msgs/String")
+        (warning,) = until(warnings, "it is named")
+        assert "/old_version does not hear us" in warning
+        assert md5 in warning
+        assert STRING_MD5 in warning
+    until(lambda: not warnings(), "it is gone")
+    edge.ask("drop", id=publisher)
+
+
 def test_a_depth_of_more_than_one_is_kept_per_source(master, edge):
     publisher = edge.ask("advertise", topic="/deep", type="std_msgs/String", latched=True, depth=3)["id"]
     for n in range(5):
