@@ -44,6 +44,7 @@ class Network:
         self._children: dict[str, Child] = {}
         self._place = Place(None, {
             "hub": {"shared_memory": shared_memory},
+            "ros2": {"transport": "shared_memory"},  # as the ends; "auto" looks who else is on the machine
             "routing": {"rules": [{"topic": f"/{FLOOR}/**", "deny": True}]},
             "log": {"level": "warning"},
         })  # fmt: skip
