@@ -159,7 +159,7 @@ def test_a_compiler_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     finding = only(types.look_at_compiler(around()))
     if finding.result is not Result.SKIP:  # where there is no rclpy nothing is built
         assert (finding.result, "no-such-compiler" in finding.seen) == (Result.WARN, True)
-    assert only(types.look_at_compiler(around({"ros2": {"build": False}}))).result is Result.SKIP
+    assert only(types.look_at_compiler(around({"ros2": {"enabled": False}}))).result is Result.SKIP
 
 
 def test_two_daemons_on_one_network() -> None:
