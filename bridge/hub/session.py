@@ -115,10 +115,15 @@ class Hub:
         tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=settings.max_payload)
         config = make_config(tree, settings.zenoh)
         try:
-            return cls(zenoh.open(config), settings)
+            session = zenoh.open(config)
         except zenoh.ZError as err:
             msg = f"cannot join the hub: {zenoh_reason(err)}"
             raise HubError(msg) from None
+        try:
+            return cls(session, settings)
+        except BaseException:
+            session.close()  # type: ignore[no-untyped-call]
+            raise
 
     def set_origin(self, origin: Origin | None) -> None:
         """Tell which foreign network this session speaks for; before its endpoints are made."""
