@@ -18,7 +18,7 @@ from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate, Pulse
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import STREAM_DEPTH, Route, RouteKey, joint_qos
+from bridge.routing.route import Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -142,7 +142,7 @@ class InRoute(Route):
         wish = Qos(
             Reliability.RELIABLE,
             Durability.VOLATILE if command else Durability.TRANSIENT_LOCAL,
-            depth=1 if command else STREAM_DEPTH,
+            depth=1 if command else stream_depth(self.conversion.target.definition),
         )
         wish = self.decision.override(wish)
         self._subscription = self._edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)

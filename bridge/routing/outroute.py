@@ -20,7 +20,7 @@ from bridge.routing.age import AgeGate, Pulse
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, STREAM_DEPTH, Route, RouteKey, joint_qos
+from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -115,7 +115,8 @@ class OutRoute(Route):
             depth = 1 if self._static else max(s.endpoint.qos.depth for s in self._sources.values() if s.latched)
             self._latched = self._advertise_as(Durability.TRANSIENT_LOCAL, depth)
         if self._volatile is None and any(not s.latched for s in self._sources.values()):
-            depth = max(STREAM_DEPTH, *(s.endpoint.qos.depth for s in self._sources.values() if not s.latched))
+            told = max(s.endpoint.qos.depth for s in self._sources.values() if not s.latched)
+            depth = max(stream_depth(self.conversion.source.definition), told)
             self._volatile = self._advertise_as(Durability.VOLATILE, 1 if self._priority is Priority.COMMAND else depth)
 
     def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +18,22 @@ _log = logging.getLogger(__name__)
 QUEUE_DEPTH = {Priority.COMMAND: 1, Priority.STATE: 1000, Priority.STREAM: 1000}
 """Messages that wait for a side at most, where no rule says otherwise."""
 
-STREAM_DEPTH = 50
+STREAM_DEPTH = 1000
 """History of the bridge's own endpoints on a stream at least, so that a burst finds room."""
+
+BULK_DEPTH = 50
+"""The same for types that carry bytes without end, as images, clouds and maps do."""
 
 QUEUE_BYTES = 64 * 1024 * 1024
 """Bytes that wait in one route's queue at most."""
+
+
+_BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
+
+
+def stream_depth(definition: str) -> int:
+    """History of the bridge's own endpoints on a stream of a type, given by its full definition."""
+    return BULK_DEPTH if _BYTES.search(definition) else STREAM_DEPTH
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from bridge.routing import age, rate
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.priority import Priority, default_priority
+from bridge.routing.route import BULK_DEPTH, STREAM_DEPTH, stream_depth
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 from tests.support.wait import until
 
@@ -64,6 +65,12 @@ def test_rate_limit_meets_its_mean_though_messages_come_in_batches(monkeypatch: 
             passed.append(clock.now)
     assert len(passed) == pytest.approx(300, rel=0.02)
     assert min(b - a for a, b in itertools.pairwise(passed)) >= 0.5 / 30
+
+
+def test_what_carries_bytes_without_end_has_a_short_history() -> None:
+    assert stream_depth("std_msgs/Header header\nuint8[] data\n") == BULK_DEPTH
+    for small in ("string data\n", "float32[] ranges\n", "uint8[16] uuid\nuint8 UINT8=2 # uint8[] x\n"):
+        assert stream_depth(small) == STREAM_DEPTH
 
 
 def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,9 @@ from collections import Counter, deque
 
 _log = logging.getLogger(__name__)
 
+MAX_WAITING = 64 * 2**20
+"""Bytes that wait for one subscriber at most, but for the newest message."""
+
 _LENGTH = struct.Struct("<I")
 _NOW = getattr(socket, "MSG_DONTWAIT", 0)
 
@@ -18,7 +21,8 @@ class Outlet:
     """Sends messages to one subscriber without ever blocking the sender.
 
     While the socket's buffer takes all, the sender's thread writes. A subscriber that is slower gets a thread of its
-    own and a queue in which at most ``depth`` messages of each source wait; the oldest of that source make room.
+    own and a queue in which at most ``depth`` messages of each source wait, and `MAX_WAITING` bytes; the oldest of that
+    source make room.
     """
 
     def __init__(self, sock: socket.socket, name: str) -> None:
@@ -27,6 +31,7 @@ class Outlet:
         self._condition = threading.Condition()
         self._queue: deque[tuple[str, bytes]] = deque()
         self._waiting: Counter[str] = Counter()
+        self._bytes = 0
         self._rest: bytes | memoryview = b""
         self._writing = False
         self._closed = False
@@ -59,15 +64,18 @@ class Outlet:
             self._closed = True
             self._queue.clear()
             self._waiting.clear()
+            self._bytes = 0
             self._condition.notify()
 
     def _enqueue(self, payload: bytes, source: str, depth: int) -> None:
-        if self._waiting[source] >= depth:
+        while self._waiting[source] and (self._waiting[source] >= depth or self._bytes + len(payload) > MAX_WAITING):
             oldest = next(i for i, (s, _) in enumerate(self._queue) if s == source)
+            self._bytes -= len(self._queue[oldest][1])
             del self._queue[oldest]
+            self._waiting[source] -= 1
             self.dropped += 1
-        else:
-            self._waiting[source] += 1
+        self._waiting[source] += 1
+        self._bytes += len(payload)
         self._queue.append((source, payload))
 
     def _wake(self) -> None:
@@ -87,6 +95,7 @@ class Outlet:
             return rest
         source, payload = self._queue.popleft()
         self._waiting[source] -= 1
+        self._bytes -= len(payload)
         if not self._waiting[source]:
             del self._waiting[source]
         return _LENGTH.pack(len(payload)) + payload

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,13 +40,6 @@ from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
-
-_BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
-
-
-def is_bulk(definition: str) -> bool:
-    """Whether a type carries bytes without end, as images, clouds and maps do."""
-    return _BYTES.search(definition) is not None
 
 
 class Ros2Edge(Edge):
@@ -177,7 +169,6 @@ class Ros2Edge(Edge):
             graph=self._graph,
             check=lambda payload: self._registry.hub_check(side_type.name)(payload),
             closed=self._subscription_closed,
-            bulk=is_bulk(side_type.definition),
         )
         with self._lock:
             self._subscriptions.add(subscription)

@@ -29,9 +29,6 @@ LATCHED_DEPTH = 128
 VOLATILE_DEPTH = 32
 """Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
 
-BURST_DEPTH = 1000
-"""Least depth where messages are not bulk: room for a burst, as a publisher's own depth cannot be known from DDS."""
-
 _LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LOG_SECONDS = 10.0
 
@@ -65,14 +62,12 @@ class Ros2Subscription:
         graph: Graph,
         check: Callable[[bytes], bytes],
         closed: Callable[[Ros2Subscription], None],
-        bulk: bool,
     ) -> None:
         self.topic, self.qos, self.deliver, self.check = topic, qos, deliver, check
         self._message_class = message_class
         self.type_name = str(message_class.type_name)
         self._participant, self._loop, self._graph = participant, loop, graph
         self._on_closed = closed
-        self._bulk = bulk
         self.lost = 0
         self._lock = threading.Lock()
         self._readers: dict[Class, ClassReader] = {}
@@ -102,8 +97,6 @@ class Ros2Subscription:
 
     def _open(self, reader_class: Class) -> ClassReader:
         least = LATCHED_DEPTH if reader_class.durability is Durability.TRANSIENT_LOCAL else VOLATILE_DEPTH
-        if not self._bulk and self.qos.depth > 1:
-            least = BURST_DEPTH
         qos = replace(
             self.qos,
             reliability=reader_class.reliability,

@@ -100,3 +100,17 @@ def test_closing_ends_the_thread_of_a_stuck_one(pair):
     pair.outlet._thread.join(10)
     assert not pair.outlet._thread.is_alive()
     assert not pair.outlet.send(b"x", "a", 2)
+
+
+def test_what_waits_is_bounded_in_bytes(pair, monkeypatch):
+    monkeypatch.setattr("bridge.adapters.ros1.outlet.MAX_WAITING", 10_000_000)
+    big = 4_000_000
+    for n in range(20):
+        assert pair.outlet.send(bytes([n]) * big, "a", 1000)
+    pair.outlet.send(b"other", "b", 1000)
+    assert len(pair.outlet._queue) <= 3
+    received = [pair.message()[:1]]
+    while received[-1] != b"o":
+        received.append(pair.message()[:1])
+    assert received[-2] == bytes([19])
+    assert len(received) + pair.outlet.dropped == 21
