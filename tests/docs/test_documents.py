@@ -1,0 +1,66 @@
+"""Links lead somewhere, configurations load, commands are commands."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bridge.cli.main import build_parser
+from bridge.config.load import loads
+from bridge.config.model import Config
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), ROOT / "benchmarks" / "README.md"])
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)")
+
+
+def blocks(language: str) -> list[tuple[str, str]]:
+    """Code blocks of one language in all pages, each with its page's name."""
+    return [(page.name, code) for page in PAGES for name, code in BLOCK.findall(page.read_text()) if name == language]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_to_files(page: Path) -> None:
+    links = [link for link in LINK.findall(page.read_text()) if "://" not in link]
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def configurations() -> list[tuple[str, str]]:
+    """YAML blocks whose keys are a configuration's."""
+    found = []
+    for page, code in blocks("yaml"):
+        data = yaml.safe_load(code)
+        if isinstance(data, dict) and set(data) <= set(Config.model_fields):
+            found.append((page, code))
+    return found
+
+
+@pytest.mark.parametrize(("page", "code"), configurations())
+def test_configurations_load(page: str, code: str, tmp_path: Path) -> None:
+    # Paths of somebody's robot do not exist here; everything else must hold.
+    here = re.sub(r"(?<=[\[\s])/(?:home|etc|opt)/[\w./-]+", str(tmp_path), code)
+    assert isinstance(loads(here, tmp_path / page), Config)
+
+
+def test_there_are_configurations() -> None:
+    assert any(page == "README.md" for page, _ in configurations())
+
+
+def commands() -> list[tuple[str, str]]:
+    """Lines of shell blocks that call midspan."""
+    shell = [block for language in ("", "sh", "bash") for block in blocks(language)]
+    lines = [(page, line.removeprefix("$ ")) for page, code in shell for line in code.splitlines()]
+    return [(page, line) for page, line in lines if line.startswith("midspan ")]
+
+
+@pytest.mark.parametrize(("page", "line"), commands())
+def test_commands_are_commands(page: str, line: str) -> None:
+    words = shlex.split(line, comments=True)[1:]
+    for stop in ("|", ">", "&", "&&", "||", ";"):
+        words = words[: words.index(stop)] if stop in words else words
+    build_parser(words[:1]).parse_args(words)
