@@ -7,6 +7,8 @@ What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
 - The discovery range LOCALHOST makes rmw_fastrtps add shared memory again. So the range is left to this profile:
   loopback only by the white list, the machine's nodes found by multicast on loopback and, for those that do not
   listen to multicast (their range is LOCALHOST), by unicast to the first 32 participants' ports.
+- The default queue in front of a participant's shared memory (512) overflows in a burst; what did not fit comes again
+  after the writer's next heartbeat, which is every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
 - A participant's death without a word is noticed after its lease: 20 s by default, 2 s here.
 """
@@ -20,6 +22,9 @@ from xml.etree import ElementTree as ET
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _UNICAST_RANGE = "32"
 """Participants of one machine and domain that are announced to by unicast; as rmw_fastrtps does it for LOCALHOST."""
+
+_QUEUE = "8192"
+"""Messages that other participants may have written to us by shared memory and that Fast DDS has not yet taken up."""
 
 _UDP_BUFFER = 4 * 1024 * 1024
 _MULTICAST = "239.255.0.1"
@@ -65,6 +70,7 @@ class Profile:
         _text(descriptor, "type", "SHM")
         _text(descriptor, "segment_size", str(self.segment))
         _text(descriptor, "maxMessageSize", str(self.segment // 4))
+        _text(descriptor, "port_queue_capacity", _QUEUE)
 
     def _udp(self, descriptor: ET.Element) -> None:
         _text(descriptor, "transport_id", "udp")
