@@ -14,6 +14,12 @@ SideName = Literal["ros1", "ros2", "yarp", "zenoh"]
 Enabled = Literal["auto", True, False]
 
 
+_WILDCARD = re.compile(r"\*\*|\*|\?")
+_GROUP = re.compile(r"\\(?:([0-9]+)|g<(\w+)>)")
+_ROS1_NAME = re.compile(r"(?:/[A-Za-z0-9_]+)+")
+_ROS2_NAME = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+
+
 class Section(BaseModel):
     """Base of all sections: frozen, and an unknown key is an error."""
 
@@ -63,6 +69,26 @@ class QosOverride(Section):
     durability: Literal["volatile", "transient_local"] | None = Field(
         default=None, description="Forced durability (latching)."
     )
+
+
+def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: bool) -> str:
+    """What is wrong with a rule's new name, "" where it is good; ``ros1``: only ROS 1 gets to see it."""
+    if regex is not None:
+        pattern = re.compile(regex)
+        for number, name in _GROUP.findall(rename):
+            if (number and int(number) > pattern.groups) or (name and name not in pattern.groupindex):
+                return f"takes group {number or name}, which the regular expression does not have"
+        examples = [_GROUP.sub("x", rename), _GROUP.sub("/x", rename)]
+    else:
+        had, taken = len(_WILDCARD.findall(topic or "")), len(_WILDCARD.findall(rename))
+        if taken > had:
+            return f"has {taken} wildcards, and the topic has {had} to fill them from"
+        examples = [_WILDCARD.sub("x", rename)]
+    if not any((_ROS1_NAME if ros1 else _ROS2_NAME).fullmatch(example) for example in examples):
+        return "is no topic name: begin it with a slash; letters, digits and underscores make its parts" + (
+            "" if ros1 else ", and none begins with a digit"
+        )
+    return ""
 
 
 class Rule(Section):
@@ -121,11 +147,34 @@ class Rule(Section):
                 raise ValueError(msg) from None
         return value
 
+    @field_validator("topic")
+    @classmethod
+    def _topic_is_absolute(cls, value: str | None) -> str | None:
+        if value is not None and not value.startswith(("/", "**")):
+            msg = (
+                f"{value!r} matches no topic: names begin with a slash; write /{value}, or **/{value} in any namespace"
+            )
+            raise ValueError(msg)
+        return value
+
+    @field_validator("type")
+    @classmethod
+    def _type_is_spelled_as_in_ros2(cls, value: str | None) -> str | None:
+        if value is not None and "**" not in value and value.count("/") == 1:
+            msg = f"{value!r} matches no type: they are spelled as in ROS 2, {value.replace('/', '/msg/')}"
+            raise ValueError(msg)
+        return value
+
     @model_validator(mode="after")
     def _one_pattern(self) -> Rule:
         if self.topic is not None and self.regex is not None:
             msg = "give either 'topic' (a glob) or 'regex', not both"
             raise ValueError(msg)
+        if self.rename is not None:
+            trouble = rename_trouble(self.rename, self.topic, self.regex, ros1=self.to == "ros1")
+            if trouble:
+                msg = f"rename {self.rename!r} {trouble}"
+                raise ValueError(msg)
         if self.deny and (self.rename or self.rate or self.priority or self.depth or self.timeout):
             msg = "a rule that denies has no rename, rate, priority, depth or timeout"
             raise ValueError(msg)

@@ -185,7 +185,7 @@ class Engine:
         self, key: RouteKey, endpoints: list[Endpoint], taken: dict[str, RouteKey], verdicts: list[Verdict]
     ) -> None:
         decision = self._rules.enter(self.edge.side, key.topic, _ros2_name(key.type_name))
-        hub_topic = decision.name if decision.name != key.topic else self.edge.hub_name(key.topic)
+        hub_topic = self.edge.hub_name(decision.name)
         verdict = Verdict("in", key.topic, hub_topic, key.type_name, decision)
         verdicts.append(verdict)
         if not decision.allowed and time.monotonic() < self._taps.get(key.topic, 0.0):

@@ -10,6 +10,7 @@ import pytest
 
 from bridge.config import Config, ConfigError, find, load, loads
 from bridge.config.document import MAX_BYTES
+from bridge.config.model import Rule
 from bridge.daemon.protocol import NewConfig, decode_command, encode_command
 
 
@@ -107,6 +108,41 @@ CASES = [
         [("1:27: routing.rules[0].regex: not a regular expression: missing ), unterminated subpattern at position 0")],
     ),
     (
+        "routing: {rules: [{topic: scan}]}",
+        [
+            (
+                "1:27: routing.rules[0].topic: 'scan' matches no topic: names begin with a slash; write /scan, or **/scan in"
+                " any namespace"
+            )
+        ],
+    ),
+    (
+        "routing: {rules: [{type: std_msgs/String}]}",
+        [
+            (
+                "1:26: routing.rules[0].type: 'std_msgs/String' matches no type: they are spelled as in ROS 2,"
+                " std_msgs/msg/String"
+            )
+        ],
+    ),
+    (
+        "routing: {rules: [{regex: '/a/(.*)', rename: '/b/\\2'}]}",
+        ["1:19: routing.rules[0]: rename '/b/\\\\2' takes group 2, which the regular expression does not have"],
+    ),
+    (
+        "routing: {rules: [{topic: /a/*, rename: /b/*/*}]}",
+        ["1:19: routing.rules[0]: rename '/b/*/*' has 2 wildcards, and the topic has 1 to fill them from"],
+    ),
+    (
+        "routing: {rules: [{topic: /a, rename: b c}]}",
+        [
+            (
+                "1:19: routing.rules[0]: rename 'b c' is no topic name: begin it with a slash; letters, digits and"
+                " underscores make its parts, and none begins with a digit"
+            )
+        ],
+    ),
+    (
         "hub: {domain: 1",
         ["1:16: not valid YAML: while parsing a flow mapping expected ',' or '}', but got '<stream end>'"],
     ),
@@ -187,6 +223,22 @@ def test_relative_paths_are_relative_to_the_file(tmp_path: Path) -> None:
 def test_home_is_expanded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     assert loads("state: ~/st").state == tmp_path / "st"
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        {"topic": "/a/**", "rename": "/r1/**"},
+        {"topic": "**/image", "rename": "/images/**"},
+        {"regex": r"/old(/.*)", "rename": r"\1"},
+        {"regex": r"/(?P<who>\w+)/image", "rename": r"/cameras/\g<who>"},
+        {"topic": "/a", "to": "ros1", "rename": "/cam/1"},
+        {"type": "sensor_msgs/msg/*"},
+        {"type": "sensor_msgs/**"},
+    ],
+)
+def test_good_rules(rule: dict[str, str]) -> None:
+    assert Rule.model_validate(rule)
 
 
 def test_search_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

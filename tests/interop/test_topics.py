@@ -142,3 +142,11 @@ def _until_has(sender: Any, out: int, hearer: Any, heard: int, probe: dict) -> N
         return probe["data"] in _texts(hearer, heard)
 
     until(once, probe["data"], 30)
+
+
+def test_a_new_name_is_made_legal_too(deployment: Deployment) -> None:
+    deployment.start(routing={"rules": [{"regex": "/lidar/(.*)/scan", "rename": r"/scan/\1"}]})
+    ros1, ros2 = deployment.ros1(), deployment.ros2()
+    heard = ros2.subscribe("/scan/n1_2v", STRING)
+    out = ros1.advertise("/lidar/1-2v/scan", STRING)
+    assert cross(ros1, out, ros2, heard, {"data": "x"}) == {"data": "x"}
