@@ -6,8 +6,9 @@ module is used here, the one that rclpy's classes stand on (``rclpy.impl.impleme
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rclpy.context import Context
@@ -15,11 +16,22 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from bridge.adapters.ros2.qos import to_rclpy
 from bridge.hub.qos import Qos
+from bridge.messages.errors import MessageTypeError
 
 _rclpy: Any = rclpy_implementation
 
 _DISCOVERY = "ros_discovery_info"
 """The DDS topic on which every ROS participant tells its nodes: its writers are the participants."""
+
+
+@contextlib.contextmanager
+def _explained(topic: str, message_class: Any) -> Iterator[None]:
+    """Say what was refused: rcl speaks of incompatible types and of allocators."""
+    try:
+        yield
+    except (_rclpy.RCLError, ValueError) as err:
+        msg = f"ROS 2 does not take {topic} as {message_class.type_name}: {err}"
+        raise MessageTypeError(msg, "rename it by a rule, if it does not come right by itself in a moment") from err
 
 
 class Participant:
@@ -59,12 +71,12 @@ class Participant:
 
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """A DDS writer; it has ``pointer``, ``rcl_publisher_t *``."""
-        with self._lock:
+        with self._lock, _explained(topic, message_class):
             return _rclpy.Publisher(self._node, message_class, topic, to_rclpy(qos))
 
     def make_reader(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """A DDS reader; it has ``pointer``, ``rcl_subscription_t *``."""
-        with self._lock:
+        with self._lock, _explained(topic, message_class):
             return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
     def make_guard_condition(self) -> Any:

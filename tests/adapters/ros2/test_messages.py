@@ -207,6 +207,11 @@ def test_closed_subscription_delivers_no_more(edge: RunningEdge, peer: Callable[
     assert len(closed) == count
 
 
+def test_a_name_that_ros2_forbids_is_refused_in_plain_words(edge: RunningEdge) -> None:
+    with pytest.raises(MessageTypeError, match="ROS 2 does not take /m/1x as std_msgs/msg/String"):
+        edge.edge.advertise("/m/1x", edge.type("std_msgs/msg/String"), Qos())
+
+
 def test_a_second_type_of_one_topic_is_refused_in_plain_words(edge: RunningEdge) -> None:
     edge.subscribe("/m/two", "std_msgs/msg/String")
     for second in (
