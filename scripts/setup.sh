@@ -14,7 +14,7 @@ ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-g
     python3-rospy python3-rosservice python3-rostopic python3-sensor-msgs python3-shape-msgs python3-std-msgs
     python3-std-srvs python3-stereo-msgs python3-tf2-msgs python3-trajectory-msgs python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
-    tools="$tools systemd"
+    tools="$tools systemd procps" # procps: the units reload by /bin/kill
 fi
 
 say() {

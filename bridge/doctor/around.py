@@ -95,10 +95,10 @@ class Around:
             return None
         try:
             process = psutil.Process(pid)
-            words = " ".join(process.cmdline())
+            words = process.cmdline()[:4]  # interpreter, its flags, program
         except psutil.Error:
             return None
-        return process if "midspan" in words or "bridge" in words else None
+        return process if any(w.startswith("bridge.") or Path(w).name == "midspan" for w in words) else None
 
 
 def environment_of(process: psutil.Process | None) -> Mapping[str, str]:

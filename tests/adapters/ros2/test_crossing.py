@@ -47,7 +47,8 @@ class Programs:
         # Each user has a state of its own that outlives the process, as a worker's does.
         state = self.folder / f"state-{user}"
         state.mkdir(exist_ok=True)
-        os.chown(state, user, -1)
+        if os.geteuid() == 0:
+            os.chown(state, user, -1)
         text = json.dumps(config.model_dump(mode="json", by_alias=True, exclude_unset=True))
         return self._start(["-m", "tests.adapters.ros2.edge_program", text, str(state)], env, user, mounts)
 
