@@ -82,6 +82,7 @@ class OutRoute(Route):
         self._limit = RateLimit(decision.rate) if decision.rate else None
         self._priority = Priority.STREAM
         self._depth = 1
+        self._since_ns = 0
 
     def update(self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint]) -> None:
         """Follow the hub's publishers of this topic; called by the engine's loop alone."""
@@ -132,6 +133,7 @@ class OutRoute(Route):
         if self._subscription is not None:
             self._subscription.close()
         self._qos = qos
+        self._since_ns = time.time_ns()
         source = self.conversion.source
         self._subscription = self._hub.subscription(self.hub_topic, source.name, self.key.type_id, qos, self._received)
 
@@ -206,7 +208,8 @@ class OutRoute(Route):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
-        self.counters.latency(time.time_ns() - sample.source_time_ns)
+        if sample.source_time_ns >= self._since_ns:  # what was kept for late joiners says nothing of the way's length
+            self.counters.latency(time.time_ns() - sample.source_time_ns)
 
     @property
     def static(self) -> bool:

@@ -47,6 +47,9 @@ def test_latched_before_the_bridge_started(side: Side, far: HubSide, config) -> 
     assert far.wait(heard, 1, 15) == [{"data": "early"}]
     heard = peer.subscribe("/early_hub", STRING, latched=True)
     assert peer.wait(heard, 1, 15) == [{"data": "early hub"}]
+    route = far.route("/early_hub", "out")
+    assert route is not None
+    assert route["latency_ms"] == {}
 
 
 def test_static_transforms_of_three_broadcasters_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:
