@@ -60,6 +60,11 @@ class Counters:
             self._rate = (self.messages - messages) / (now - then)
             self._mark = (now, self.messages)
 
+    @property
+    def rate(self) -> float:
+        """Messages a second between the last two ticks."""
+        return self._rate
+
     def as_dict(self) -> dict[str, Any]:
         """The counters as they stand in the status document."""
         late = sorted(self._latencies.copy())

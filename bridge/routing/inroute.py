@@ -5,17 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.base import Conversion, Edge, EdgeSubscription, Endpoint
+from bridge.adapters.base import Conversion, EdgeSubscription, Endpoint
 from bridge.hub.errors import HubError
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.hub.session import Hub
 from bridge.messages.errors import MessageError
-from bridge.routing.age import AgeGate, Pulse
+from bridge.routing.age import AgeGate
+from bridge.routing.joint import Joint
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
 from bridge.routing.route import Route, RouteKey, joint_qos, stream_depth
@@ -54,15 +54,10 @@ class InRoute(Route):
         hub_topic: str,
         conversion: Conversion,
         decision: Decision,
-        *,
-        hub: Hub,
-        edge: Edge,
-        pulse: Pulse,
-        unknown_source: Callable[[], None],
+        joint: Joint,
     ) -> None:
         super().__init__(key, hub_topic, key.topic, conversion, decision)
-        self._hub, self._edge, self._pulse = hub, edge, pulse
-        self._unknown_source = unknown_source
+        self._joint = joint
         self._sources: dict[str, _Source] = {}
         self._shared: HubPublisher | None = None
         self._static: StaticTransforms | None = None
@@ -118,7 +113,9 @@ class InRoute(Route):
         if self._priority is Priority.COMMAND:
             qos = Qos(qos.reliability, Durability.VOLATILE, depth=1)
         target = self.conversion.target
-        return self._hub.publisher(self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value)
+        return self._joint.hub.publisher(
+            self.hub_topic, target.name, target.type_id, qos, priority=self._priority.value
+        )
 
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
@@ -145,7 +142,7 @@ class InRoute(Route):
             depth=1 if command else stream_depth(self.conversion.target.definition),
         )
         wish = self.decision.override(wish)
-        self._subscription = self._edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
+        self._subscription = self._joint.edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
 
     def _flush_pending(self) -> None:
         now = time.monotonic()
@@ -164,7 +161,7 @@ class InRoute(Route):
             # On the graph for the edge, not yet for us: keep the newest, the engine comes back with `update`.
             if len(self._pending) < MAX_PENDING:
                 self._pending[source] = (time.monotonic(), payload, time_ns)
-                self._unknown_source()
+                self._joint.wake()
             else:
                 counters.dropped("unknown")
             return
@@ -189,7 +186,7 @@ class InRoute(Route):
 
     def _stale(self, known: _Source, time_ns: int | None) -> bool:
         timeout = self.decision.timeout
-        return self._pulse.stood_still(timeout) or (time_ns is not None and known.age.age(time_ns) > timeout)
+        return self._joint.pulse.stood_still(timeout) or (time_ns is not None and known.age.age(time_ns) > timeout)
 
     @property
     def static(self) -> bool:

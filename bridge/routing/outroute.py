@@ -6,18 +6,17 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.base import Conversion, Edge, EdgePublisher
+from bridge.adapters.base import Conversion, EdgePublisher
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.qos import Durability, Qos, Reliability
-from bridge.hub.session import Hub
 from bridge.hub.subscription import HubSample, HubSubscription
 from bridge.messages.errors import MessageError
-from bridge.routing.age import AgeGate, Pulse
-from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.age import AgeGate
+from bridge.routing.joint import Joint
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
 from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
@@ -44,7 +43,8 @@ class OutRoute(Route):
     """One topic and type of the hub, published on the side.
 
     Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not
-    name (they come from this very network, or are not yet known) do not pass.
+    name (they come from this very network, or are not yet known) do not pass. ``origin`` is the side that the topic's
+    first publisher comes from.
     """
 
     direction = "out"
@@ -53,20 +53,15 @@ class OutRoute(Route):
         self,
         key: RouteKey,
         side_topic: str,
+        origin: str,
         conversion: Conversion,
         decision: Decision,
-        *,
-        hub: Hub,
-        edge: Edge,
-        pulse: Pulse,
-        small: Dispatcher,
-        bulk: Dispatcher,
-        unknown_source: Callable[[], None],
+        joint: Joint,
     ) -> None:
         super().__init__(key, key.topic, side_topic, conversion, decision)
-        self._hub, self._edge, self._pulse = hub, edge, pulse
-        self._dispatcher, self._bulk = small, bulk
-        self._unknown_source = unknown_source
+        self.origin = origin
+        self._joint = joint
+        self._dispatcher = joint.small
         self._sources: dict[bytes, _Source] = {}
         self._refused: frozenset[bytes] = frozenset()
         self._natives: dict[str, _Source] = {}
@@ -123,7 +118,7 @@ class OutRoute(Route):
     def _advertise_as(self, durability: Durability, depth: int) -> EdgePublisher:
         # Reliable writers are heard by reliable and by best-effort readers alike.
         qos = self.decision.override(Qos(Reliability.RELIABLE, durability, depth=min(max(depth, 1), 1000)))
-        return self._edge.advertise(self.side_topic, self.conversion.target, qos)
+        return self._joint.edge.advertise(self.side_topic, self.conversion.target, qos)
 
     def _subscribe(self, qos: Qos) -> None:
         if self._priority is Priority.COMMAND:
@@ -135,7 +130,9 @@ class OutRoute(Route):
         self._qos = qos
         self._since_ns = time.time_ns()
         source = self.conversion.source
-        self._subscription = self._hub.subscription(self.hub_topic, source.name, self.key.type_id, qos, self._received)
+        self._subscription = self._joint.hub.subscription(
+            self.hub_topic, source.name, self.key.type_id, qos, self._received
+        )
 
     def _received(self, sample: HubSample) -> None:
         """Append and wake; runs on zenoh's receiving thread."""
@@ -150,7 +147,7 @@ class OutRoute(Route):
                 self._queued_bytes -= len(self._queue.popleft().payload)
                 self.counters.dropped("queue")
             if size > BULK and len(self._queue) == 1:
-                self._dispatcher = self._bulk
+                self._dispatcher = self._joint.bulk
             dispatcher = self._dispatcher
         dispatcher.submit(self._priority, self._next)
 
@@ -170,7 +167,7 @@ class OutRoute(Route):
             source = self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
             if source is None:
                 self._pending.append((time.monotonic(), sample))
-                self._unknown_source()
+                self._joint.wake()
                 return
         self._publish(sample, source)
 
@@ -189,7 +186,7 @@ class OutRoute(Route):
     def _publish(self, sample: HubSample, source: _Source) -> None:
         timeout = self.decision.timeout
         if self._priority is Priority.COMMAND and (
-            self._pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
+            self._joint.pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
         ):
             self.counters.dropped("stale")
             return

@@ -83,3 +83,22 @@ def _count(far: HubSide, topic: str, count: int) -> dict | None:
 
 def _seen(route: dict) -> int:
     return route["messages"] + route["drops"]["rate"]
+
+
+def test_static_transforms_that_are_denied_leave_both_ways(side: Side, far: HubSide, config) -> None:
+    """They outlive their broadcasters, but not the rule that lets them cross."""
+    bridge = side.bridge(config())
+    peer = side.peer()
+    frame = {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": "lens"}]}
+    inwards = peer.advertise("/in/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
+    peer.publish(inwards, frame)
+    outwards = far.advertise("/out/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
+    far.publish(outwards, frame)
+    far.until_published("/in/tf_static")
+    until(lambda: peer.graph()["publishers"].get("/out/tf_static"), "published on the side", 15)
+    far.drop(outwards)
+    until(lambda: far.route("/out/tf_static", "out")["sources"] == 0, "its broadcaster left", 15, every=0.1)
+    assert peer.graph()["publishers"].get("/out/tf_static")
+    bridge.reload(config(rules=[{"topic": "/*/tf_static", "deny": True}]))
+    far.until_unpublished("/in/tf_static")
+    until(lambda: not peer.graph()["publishers"].get("/out/tf_static"), "gone from the side", 15)

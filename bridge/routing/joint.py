@@ -1,0 +1,63 @@
+"""What the routes of one engine share, and what is done for each of them alike."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bridge.adapters.base import Conversion, Edge
+from bridge.hub.session import Hub
+from bridge.messages.errors import MessageTypeError
+from bridge.routing.age import Pulse
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.route import Route
+from bridge.routing.typebook import TypeBook
+from bridge.routing.verdict import Verdict
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The two ends that routes join, and their common helpers.
+
+    Attributes:
+        hub: the session on the hub.
+        edge: the side.
+        pulse: tells whether this process stood still.
+        types: definitions that workers tell each other.
+        small: carries messages from the hub to the side, urgent ones first.
+        bulk: the same for large ones.
+        wake: has the engine look at the graphs again soon.
+    """
+
+    hub: Hub
+    edge: Edge
+    pulse: Pulse
+    types: TypeBook
+    small: Dispatcher
+    bulk: Dispatcher
+    wake: Callable[[], None]
+
+
+def convert(make: Callable[[], Conversion], verdict: Verdict) -> Conversion | None:
+    """Make a route's conversion; None, and the verdict tells why, where its type cannot cross."""
+    try:
+        return make()
+    except MessageTypeError as err:
+        verdict.refuse(str(err), err.cure)
+        return None
+
+
+def attempt(route: Route, update: Callable[[], None], verdict: Verdict) -> None:
+    """Update a route. Its failure is its own: it is reported, and tried again at the next look."""
+    try:
+        update()
+    except MessageTypeError as err:
+        verdict.refuse(str(err), err.cure)
+    except Exception as err:
+        verdict.refuse(f"{type(err).__name__}: {err}", "")
+        if verdict.reason != route.refused:
+            _log.exception("%s %s", verdict.direction, verdict.topic)
+    route.refused = verdict.reason

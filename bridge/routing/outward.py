@@ -1,0 +1,108 @@
+"""The routes from the hub to the side."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from bridge.hub.graph import HubEndpoint
+from bridge.routing.guard import may_leave, origin_side
+from bridge.routing.joint import Joint, attempt, convert
+from bridge.routing.outroute import OutRoute
+from bridge.routing.route import RouteKey
+from bridge.routing.rules import Decision, RuleSet
+from bridge.routing.verdict import Verdict
+
+
+class Outward:
+    """Follows the hub's publishers; the engine's loop alone calls it, but for `routes`."""
+
+    def __init__(self, joint: Joint) -> None:
+        self._joint = joint
+        self._routes: dict[tuple[RouteKey, str], OutRoute] = {}
+
+    def routes(self) -> list[OutRoute]:
+        """All routes now."""
+        return list(self._routes.values())
+
+    def close(self) -> None:
+        """Close all routes."""
+        for key in list(self._routes):
+            self._routes.pop(key).close()
+
+    def follow(self, rules: RuleSet, verdicts: list[Verdict]) -> None:
+        """Make the routes what the hub's graph and the rules say; one verdict for each topic."""
+        groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
+        for endpoint in self._joint.hub.graph.publishers():
+            if not endpoint.own:
+                groups[RouteKey(endpoint.topic, endpoint.type_name, endpoint.type_hash)].append(endpoint)
+        # What is gone makes room first: a side may have one type per topic.
+        self._end([k for k in self._routes if k[0] not in groups], rules)
+        live: set[tuple[RouteKey, str]] = set()
+        for key, endpoints in groups.items():
+            self._follow(key, endpoints, rules, live, verdicts)
+        self._end([k for k in self._routes if k[0] in groups and k not in live], rules)
+
+    def _end(self, out_keys: list[tuple[RouteKey, str]], rules: RuleSet) -> None:
+        for out_key in out_keys:
+            route = self._routes[out_key]
+            if route.static and route.decision == self._decide(rules, route.origin, out_key[0]):
+                route.update([], [])
+            else:
+                self._routes.pop(out_key).close()
+
+    def _decide(self, rules: RuleSet, origin: str, key: RouteKey) -> Decision:
+        return rules.leave(origin, self._joint.edge.side, key.topic, key.type_name)
+
+    def _follow(
+        self,
+        key: RouteKey,
+        endpoints: list[HubEndpoint],
+        rules: RuleSet,
+        live: set[tuple[RouteKey, str]],
+        verdicts: list[Verdict],
+    ) -> None:
+        by_name: dict[str, tuple[Decision, list[HubEndpoint]]] = {}
+        refused: list[HubEndpoint] = []
+        for endpoint in endpoints:
+            if not may_leave(endpoint, self._joint.edge):
+                refused.append(endpoint)
+                continue
+            decision = self._decide(rules, origin_side(endpoint), key)
+            side_topic = decision.name if decision.name != key.topic else self._joint.edge.side_name(key.topic)
+            if decision.allowed:
+                by_name.setdefault(side_topic, (decision, []))[1].append(endpoint)
+            else:
+                refused.append(endpoint)
+                verdicts.append(Verdict("out", side_topic, key.topic, key.type_name, decision))
+        for side_topic, (decision, allowed) in by_name.items():
+            verdict = Verdict("out", side_topic, key.topic, key.type_name, decision)
+            verdicts.append(verdict)
+            others = refused + [e for e in endpoints if e not in allowed and e not in refused]
+            self._keep(key, side_topic, decision, (allowed, others), live, verdict)
+        if not by_name and refused and all(not may_leave(e, self._joint.edge) for e in refused):
+            verdicts.append(Verdict.own_network("out", key.topic, key.type_name))
+
+    def _keep(
+        self,
+        key: RouteKey,
+        side_topic: str,
+        decision: Decision,
+        endpoints: tuple[list[HubEndpoint], list[HubEndpoint]],
+        live: set[tuple[RouteKey, str]],
+        verdict: Verdict,
+    ) -> None:
+        out_key = (key, side_topic)
+        route = self._routes.get(out_key)
+        if route is not None and route.decision != decision:
+            self._routes.pop(out_key).close()
+            route = None
+        if route is None:
+            conversion = convert(lambda: self._joint.edge.from_hub(key.type_name, key.type_id), verdict)
+            if conversion is None:
+                self._joint.types.ask(key.type_name, key.type_id)
+                return
+            origin = origin_side(endpoints[0][0])
+            route = OutRoute(key, side_topic, origin, conversion, decision, self._joint)
+            self._routes[out_key] = route
+        live.add(out_key)
+        attempt(route, lambda: route.update(*endpoints), verdict)
