@@ -14,6 +14,7 @@ from typing import Any
 import psutil
 
 from bridge.adapters.base import Edge
+from bridge.adapters.memory import keep_memory
 from bridge.config.model import Config
 from bridge.daemon.state import state_folder
 from bridge.daemon.worker import Health, Worker
@@ -27,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 _STOPPING = "the worker is stopping"
 
-SWITCH_INTERVAL = 0.0005
+SWITCH_INTERVAL = 0.0002
 """Seconds after which a thread that only computes gives way to one that has a message."""
 
 EDGES = {"ros1": "bridge.adapters.ros1.edge:Ros1Edge", "ros2": "bridge.adapters.ros2.edge:Ros2Edge"}
@@ -60,6 +61,7 @@ class BridgeWorker(Worker):
         self._config = config
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
+        keep_memory()
         state = state_folder(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         edge = make_edge(self.side, config, registry, state)
