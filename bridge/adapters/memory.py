@@ -15,9 +15,9 @@ _LARGEST = 32 * 1024 * 1024
 def keep_memory() -> None:
     """Have glibc use the memory of large messages again; to be called before the process's threads start.
 
-    By default it gives each block of 128 kB and more back to the system, and every message pays for page faults anew: an
-    image of 6 MB took up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 (benchmarks/topic_latency.py). Without the pad the
-    heaps of threads are still given back. Other C libraries have no ``mallopt``; there nothing is done.
+    By default it gives each block of 128 kB and more back to the system, and every message pays for page faults anew:
+    an image of 6 MB took up to 9.6 ms from ROS 1 to ROS 2 instead of 5.2 (benchmarks/topic_latency.py). Without the
+    pad the heaps of threads are still given back. Other C libraries have no ``mallopt``; there nothing is done.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
