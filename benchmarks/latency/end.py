@@ -46,7 +46,11 @@ class End(ABC):
         gc.collect()
         gc.disable()  # pauses of these programs are not what is measured
         tell("ready")
-        commands = {"advertise": self._advertise, "subscribe": self._subscribe, "send": self._send}
+        commands: dict[str, Callable[..., None]] = {
+            "advertise": self._advertise,
+            "subscribe": self._subscribe,
+            "send": self._send,
+        }
         commands |= {"matched": self._is_matched, "clear": self._clear, "collect": self._collect}
         commands |= {"drum": self._drum, "idle": self._idle}
         try:
@@ -66,8 +70,7 @@ class End(ABC):
     def _subscribe(self, topics: list[dict[str, Any]]) -> None:
         for topic in topics:
             name = topic["topic"]
-            age, ages = _load(topic).age, self._ages.setdefault(name, [])
-            self.listen(name, topic["type"], lambda payload, age=age, ages=ages: ages.append(age(payload)))
+            self.listen(name, topic["type"], _collector(_load(topic), self._ages.setdefault(name, [])))
         tell("subscribed")
 
     def _idle(self, topics: list[str], type_: str) -> None:
@@ -120,6 +123,10 @@ class End(ABC):
         while len(ages) < count and time.monotonic() < end:
             time.sleep(0.02)
         tell("collected", ages=list(ages))
+
+
+def _collector(prepared: Stamped, ages: list[int]) -> Callable[[bytes], None]:
+    return lambda payload: ages.append(prepared.age(payload))
 
 
 def tell(event: str, **values: Any) -> None:

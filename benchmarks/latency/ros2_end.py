@@ -38,15 +38,13 @@ class Ros2End(End):
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         """As the base says."""
-        publisher = self._node.create_publisher(_class(type_), topic, QoSProfile(depth=DEPTH))
+        publisher = self._node.create_publisher(_class(type_), topic, _qos())
         return publisher.publish, lambda: publisher.get_subscription_count() > 0
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
         """As the base says."""
         class_ = _class(type_)
-        subscription = self._node.create_subscription(
-            class_, topic, lambda _payload: None, QoSProfile(depth=DEPTH), raw=True
-        )
+        subscription = self._node.create_subscription(class_, topic, lambda _payload: None, _qos(), raw=True)
         handle = subscription.handle
         handle.__enter__()
         descriptor = os.eventfd(0, os.EFD_NONBLOCK)
@@ -71,6 +69,10 @@ class Ros2End(End):
                 handle, class_, heard = self._by_descriptor[descriptor]
                 while (taken := handle.take_message(class_, True)) is not None:
                     heard(taken[0])
+
+
+def _qos() -> Any:
+    return QoSProfile(depth=DEPTH)  # type: ignore[no-untyped-call]
 
 
 def _class(type_: str) -> Any:

@@ -36,12 +36,12 @@ class ZenohEnd(End):
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:  # noqa: ARG002
         """As the base says."""
-        handler = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
+        handler: Any = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
         self._endpoints.append(self._session.declare_subscriber(topic.strip("/"), handler))
 
     def close(self) -> None:
         """As the base says."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _is_linked(self, publisher: Any) -> bool:
         """Whether the listener is there, and on a link of its own rather than behind the router."""
