@@ -159,11 +159,11 @@ class InRoute(Route):
         counters = self.counters
         if known is None:
             # On the graph for the edge, not yet for us: keep the newest, the engine comes back with `update`.
-            if len(self._pending) < MAX_PENDING:
-                self._pending[source] = (time.monotonic(), payload, time_ns)
-                self._joint.wake()
+            if self._priority is Priority.COMMAND or len(self._pending) >= MAX_PENDING:
+                counters.dropped("unknown")  # a command is never kept for later
             else:
-                counters.dropped("unknown")
+                self._pending[source] = (time.monotonic(), payload, time_ns)
+            self._joint.wake()
             return
         if self._priority is Priority.COMMAND and self._stale(known, time_ns):
             counters.dropped("stale")

@@ -159,23 +159,28 @@ class OutRoute(Route):
             self._queued_bytes -= len(sample.payload)
         self._handle(sample)
 
+    def _source_of(self, sample: HubSample) -> _Source | None:
+        known = self._sources.get(sample.gid)
+        if known is not None or sample.gid in self._refused:
+            return known
+        return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
+
     def _handle(self, sample: HubSample) -> None:
-        source = self._sources.get(sample.gid)
-        if source is None:
-            if sample.gid in self._refused:
-                return
-            source = self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
-            if source is None:
+        source = self._source_of(sample)
+        if source is not None:
+            self._publish(sample, source)
+        elif sample.gid not in self._refused:
+            if self._priority is Priority.COMMAND:  # never kept for later
+                self.counters.dropped("unknown")
+            else:
                 self._pending.append((time.monotonic(), sample))
-                self._joint.wake()
-                return
-        self._publish(sample, source)
+            self._joint.wake()
 
     def _retry_pending(self) -> None:
         now = time.monotonic()
         for _ in range(len(self._pending)):
             since, sample = self._pending.popleft()
-            source = self._sources.get(sample.gid)
+            source = self._source_of(sample)
             if source is not None:
                 self._publish(sample, source)
             elif sample.gid not in self._refused and now - since < 2.0:
