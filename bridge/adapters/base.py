@@ -14,6 +14,7 @@ from typing import ClassVar, Protocol
 
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
+from bridge.messages.conversion import Conversion, SideType
 
 Deliver = Callable[[bytes, str, int | None], None]
 """``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
@@ -57,36 +58,6 @@ class Endpoint:
     node: str = ""
     type_id: str = ""
     definition: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class SideType:
-    """A message type as one side names it.
-
-    Attributes:
-        name: as the side spells it.
-        type_id: md5 sum on ROS 1, RIHS01 hash (``RIHS01_<64 hex>``) on ROS 2 and the hub.
-        definition: full text: the type's own definition, then each nested type's after a line of ``=`` and one of
-            ``MSG: name``.
-    """
-
-    name: str
-    type_id: str
-    definition: str
-
-
-@dataclass(frozen=True, slots=True)
-class Conversion:
-    """How one type's bytes get from one wire to another; ``convert`` is None where the bytes are the same.
-
-    ``convert(payload: bytes) -> bytes`` raises `bridge.messages.errors.ConversionError` for a bad message.
-    ``left_out`` names the fields of a ROS 1 message that get lost, because the target has none for them.
-    """
-
-    source: SideType
-    target: SideType
-    convert: Callable[[bytes], bytes] | None
-    left_out: tuple[str, ...] = ()
 
 
 class EdgeListener(Protocol):

@@ -16,13 +16,13 @@ import psutil
 from bridge.adapters.base import Edge
 from bridge.adapters.memory import keep_memory
 from bridge.config.model import Config
-from bridge.daemon.state import state_folder
-from bridge.daemon.worker import Health, Worker
+from bridge.config.state import state_folder
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.engine import Engine
+from bridge.worker import Health, Worker
 
 _log = logging.getLogger(__name__)
 

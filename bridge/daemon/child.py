@@ -19,7 +19,7 @@ from types import FrameType
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.protocol import BEAT_INTERVAL, Beat, Command, Failed, NewConfig, Reloaded, Report, Restart, Stop
-from bridge.daemon.worker import Worker
+from bridge.worker import Worker
 
 logger = logging.getLogger("midspan.worker")
 

@@ -26,7 +26,7 @@ from typing import Any, Literal, get_args
 from pydantic import ValidationError
 
 from bridge.config.model import Config
-from bridge.daemon.worker import Health
+from bridge.worker import Health
 
 MAX_LINE = 4 << 20
 BEAT_INTERVAL = 0.5

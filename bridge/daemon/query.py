@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.config.model import Config
+from bridge.config.state import state_folder
 from bridge.daemon import state
 from bridge.daemon.loop import Loop
 
@@ -55,7 +56,7 @@ def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:
         ``daemon``, ``pid``, ``uptime`` (seconds), ``config`` (file or null), ``refused`` (why the last reload was, or
         ""), ``status`` (one line), ``workers``: a list of ``worker``, ``phase``, ``text``, ``pid``, ``restarts``.
     """
-    config = config.model_copy(update={"state": state.state_folder(config).absolute()})
+    config = config.model_copy(update={"state": state_folder(config).absolute()})
     answer = b""
     with socket.socket(socket.AF_UNIX) as sock:
         sock.settimeout(seconds)

@@ -7,19 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from bridge.config.model import Config
+from bridge.config.state import state_folder
 
 # sockaddr_un's sun_path has 108 bytes with its ending zero on Linux, 104 on macOS
 _MAX_SOCKET_PATH = 103
-
-
-def state_folder(config: Config, environ: Mapping[str, str] = os.environ) -> Path:
-    """Where the daemon and its workers keep their state; see ``state`` in the configuration."""
-    if config.state is not None:
-        return config.state
-    if environ.get("STATE_DIRECTORY"):  # systemd's StateDirectory=; several are separated by colons
-        return Path(environ["STATE_DIRECTORY"].split(":")[0])
-    home = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME") or Path.home()) / ".local" / "state"
-    return Path(home) / "midspan"
 
 
 def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Config:

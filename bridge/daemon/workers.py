@@ -18,7 +18,7 @@ from typing import Any
 import bridge
 from bridge.config.model import Config, Enabled
 from bridge.daemon.notify import ENVIRONMENT as NOTIFY_ENVIRONMENT
-from bridge.daemon.worker import Worker
+from bridge.worker import Worker
 
 VARIABLE = "MIDSPAN_WORKERS"
 

@@ -20,11 +20,11 @@ import psutil
 import zenoh
 
 from bridge.config.model import Config
-from bridge.daemon.worker import Health, Worker
 from bridge.hub.control import Control
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.liveliness import MIDSPAN_SPACE
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
+from bridge.worker import Health, Worker
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0

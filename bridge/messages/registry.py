@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.adapters.base import Conversion, SideType
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.definition import Schema, World
 from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError

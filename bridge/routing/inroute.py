@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.base import Conversion, EdgeSubscription, Endpoint
+from bridge.adapters.base import EdgeSubscription, Endpoint
 from bridge.hub.errors import HubError
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate
 from bridge.routing.joint import Joint

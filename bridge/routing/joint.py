@@ -6,8 +6,9 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bridge.adapters.base import Conversion, Edge
+from bridge.adapters.base import Edge
 from bridge.hub.session import Hub
+from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher

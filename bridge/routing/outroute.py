@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.base import Conversion, EdgePublisher
+from bridge.adapters.base import EdgePublisher
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate
 from bridge.routing.joint import Joint

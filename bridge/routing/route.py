@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.adapters.base import Conversion
 from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.messages.conversion import Conversion
 from bridge.routing.counters import Counters
 from bridge.routing.priority import Priority, default_priority
 from bridge.routing.rules import Decision

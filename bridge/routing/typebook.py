@@ -9,8 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from bridge.adapters.base import Edge, SideType
+from bridge.adapters.base import Edge
 from bridge.hub.session import Hub
+from bridge.messages.conversion import SideType
 
 _log = logging.getLogger(__name__)
 

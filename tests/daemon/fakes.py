@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from bridge.config.model import Config
-from bridge.daemon.worker import Health, Worker
+from bridge.worker import Health, Worker
 
 FOREVER = 1000.0
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.config import Config
+from bridge.config.state import state_folder
 from bridge.daemon import log
 from bridge.daemon.backoff import Backoff
 from bridge.daemon.lock import Lock
@@ -32,9 +33,8 @@ from bridge.daemon.protocol import (
     encode_command,
     encode_report,
 )
-from bridge.daemon.state import state_folder
-from bridge.daemon.worker import Health
 from bridge.daemon.workers import VARIABLE, worker_kinds
+from bridge.worker import Health
 
 REPORTS = [
     Beat(3, Health("standby", "2 routes\n\u00fc")),

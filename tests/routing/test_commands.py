@@ -7,10 +7,11 @@ from typing import Any, cast
 import pytest
 import zenoh
 
-from bridge.adapters.base import Conversion, Endpoint, Kind, MadeBy, SideType
+from bridge.adapters.base import Endpoint, Kind, MadeBy
 from bridge.hub.qos import Qos
 from bridge.hub.session import Hub
 from bridge.hub.subscription import HubSample
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.registry import Registry
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher

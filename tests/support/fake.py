@@ -7,18 +7,10 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from bridge.adapters.base import (
-    Conversion,
-    Deliver,
-    Edge,
-    EdgeListener,
-    Endpoint,
-    Kind,
-    MadeBy,
-    SideType,
-)
+from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 

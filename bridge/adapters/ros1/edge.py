@@ -11,18 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from bridge.adapters.base import (
-    Conversion,
-    Deliver,
-    Edge,
-    EdgeListener,
-    EdgePublisher,
-    EdgeSubscription,
-    Endpoint,
-    Kind,
-    MadeBy,
-    SideType,
-)
+from bridge.adapters.base import Deliver, Edge, EdgeListener, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
 from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.graph import Link, Look
@@ -33,6 +22,7 @@ from bridge.adapters.ros1.probe import Facts, Prober
 from bridge.config.model import Config
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.registry import Registry
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from bridge.config.model import Config
-from bridge.daemon.state import state_folder
+from bridge.config.state import state_folder
 
 DEFAULT_MASTER = "http://localhost:11311"
 """rosgraph's own default of ROS_MASTER_URI."""

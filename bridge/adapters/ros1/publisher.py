@@ -15,10 +15,10 @@ import rospy
 import rospy.impl.registration as registration
 from rospy.topics import _PublisherImpl, _TopicImpl
 
-from bridge.adapters.base import SideType
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD
 from bridge.adapters.ros1.outlet import Outlet
 from bridge.hub.qos import Qos
+from bridge.messages.conversion import SideType
 from bridge.messages.errors import MessageTypeError
 
 

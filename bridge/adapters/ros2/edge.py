@@ -9,18 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from bridge.adapters.base import (
-    Conversion,
-    Deliver,
-    Edge,
-    EdgeListener,
-    EdgePublisher,
-    EdgeSubscription,
-    Endpoint,
-    Kind,
-    MadeBy,
-    SideType,
-)
+from bridge.adapters.base import Deliver, Edge, EdgeListener, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
 from bridge.adapters.ros2 import neighbours, rcl, shm
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
@@ -36,6 +25,7 @@ from bridge.adapters.ros2.waitset import WaitSetLoop
 from bridge.config.model import Config
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.presence import Ledger, Presence, is_alive
 from bridge.adapters.ros2.environment import available
-from bridge.daemon.state import state_folder
+from bridge.config.state import state_folder
 from bridge.doctor import dds
 from bridge.doctor.around import Around
 from bridge.doctor.checks.ros1 import why_not

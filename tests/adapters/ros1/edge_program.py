@@ -20,11 +20,11 @@ from typing import IO, Any
 
 import roslib.message
 
-from bridge.adapters.base import SideType
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.config.model import Config
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos
+from bridge.messages.conversion import SideType
 from bridge.messages.registry import Registry
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from bridge.adapters.base import Conversion, Endpoint, Kind, SideType
+from bridge.adapters.base import Endpoint, Kind
 from bridge.adapters.ros2.edge import Ros2Edge
 from bridge.config.model import Config
 from bridge.hub.qos import Qos
+from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.registry import Registry
 from tests.support.peer import Peer
 from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python

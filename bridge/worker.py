@@ -1,4 +1,4 @@
-"""What the daemon expects of a worker, whatever it joins."""
+"""What a worker is to the daemon that starts and watches it, whatever it joins."""
 
 from __future__ import annotations
 
