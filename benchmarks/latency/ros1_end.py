@@ -25,7 +25,7 @@ class Ros1End(End):
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         """As the base says."""
-        raw = _raw_class(type_)
+        raw = raw_class(type_)
         publisher = rospy.Publisher(topic, raw, queue_size=QUEUE, tcp_nodelay=True)
 
         def put(payload: bytes) -> None:
@@ -44,7 +44,8 @@ class Ros1End(End):
         rospy.signal_shutdown("done")
 
 
-def _raw_class(type_: str) -> Any:
+def raw_class(type_: str) -> Any:
+    """A class of rospy's for raw bytes of a type, which it announces as that type's own."""
     package, _, name = type_.split("/")
     real = getattr(importlib.import_module(f"{package}.msg"), name)
     fields = ("_type", "_md5sum", "_full_text")

@@ -38,12 +38,12 @@ class Ros2End(End):
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
         """As the base says."""
-        publisher = self._node.create_publisher(_class(type_), topic, _qos())
+        publisher = self._node.create_publisher(message_class(type_), topic, _qos())
         return publisher.publish, lambda: publisher.get_subscription_count() > 0
 
     def listen(self, topic: str, type_: str, heard: Callable[[bytes], None]) -> None:
         """As the base says."""
-        class_ = _class(type_)
+        class_ = message_class(type_)
         subscription = self._node.create_subscription(class_, topic, lambda _payload: None, _qos(), raw=True)
         handle = subscription.handle
         handle.__enter__()
@@ -75,7 +75,8 @@ def _qos() -> Any:
     return QoSProfile(depth=DEPTH)  # type: ignore[no-untyped-call]
 
 
-def _class(type_: str) -> Any:
+def message_class(type_: str) -> Any:
+    """The class of a type spelled ``package/msg/Name``."""
     package, _, name = type_.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
