@@ -29,7 +29,7 @@ class Case:
         key: as part of a topic's name.
         type: ROS 2's name of the type.
         make: builds the message with a mark where the stamp goes.
-        kind: decides the mark that it has to reach: small, tf or large.
+        kind: decides the mark that it has to reach: small, tf or large; or ``numbered``.
         count: messages of one measurement.
         rate: messages per second.
     """
@@ -72,7 +72,7 @@ def prepare(case: Case, folder: Path) -> Prepared:
             msg = f"{case.name}: the mark occurs {content.count(mark)} times"
             raise ValueError(msg)
         file.write_bytes(content)
-    form = "text" if mark == text else "float64"
+    form = case.kind if case.kind == "numbered" else "text" if mark == text else "float64"
     return Prepared(case, form, files[0], ros1.index(mark), files[1], cdr.index(mark))
 
 
@@ -150,3 +150,6 @@ CASES = (
 
 BACKGROUND = CASES[0]
 """What the idle and the busy background topics carry."""
+
+NUMBERED = Case("String 100 B", "numbered", "std_msgs/msg/String", _string, "numbered", 0, 10.0)
+"""Has room for a number behind its stamp."""

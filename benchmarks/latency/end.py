@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import json
 import sys
 import threading
@@ -28,6 +29,7 @@ class End(ABC):
         self._put: dict[str, Callable[[bytes], None]] = {}
         self._matched: dict[str, Callable[[], bool]] = {}
         self._ages: dict[str, list[int]] = {}
+        self._numbers: dict[str, list[int]] = {}
 
     @abstractmethod
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:
@@ -52,7 +54,7 @@ class End(ABC):
             "send": self._send,
         }
         commands |= {"matched": self._is_matched, "clear": self._clear, "collect": self._collect}
-        commands |= {"drum": self._drum, "idle": self._idle}
+        commands |= {"drum": self._drum, "idle": self._idle, "count": self._count, "tally": self._tally}
         try:
             for line in sys.stdin:
                 command = json.loads(line)
@@ -95,12 +97,13 @@ class End(ABC):
             put(fresh)
         tell("sent")
 
-    def _drum(self, topics: list[str], rate: float) -> None:
-        """Send on all these topics at a rate each, evenly spread in time, until the program ends."""
+    def _drum(self, topics: list[str], rate: float, seconds: float = 0.0) -> None:
+        """Send on all these topics at a rate each, evenly spread in time, so long or until the program ends."""
+        total = round(rate * seconds) * len(topics)
 
         def beat() -> None:
             period, due, number = 1 / rate / len(topics), time.monotonic(), 0
-            while True:
+            while not total or number < total:
                 topic = topics[number % len(topics)]
                 fresh = self._prepared[topic].fresh()
                 self._prepared[topic].stamp(fresh)
@@ -108,9 +111,31 @@ class End(ABC):
                 number += 1
                 due = max(due + period, time.monotonic() - 1.0)
                 time.sleep(max(0.0, due - time.monotonic()))
+            tell("drummed")
 
         threading.Thread(target=beat, name="drum", daemon=True).start()
         tell("drumming")
+
+    def _count(self, topics: list[dict[str, Any]]) -> None:
+        """Listen to numbered messages; `_tally` tells of them."""
+        for topic in topics:
+            name = topic["topic"]
+            ages, numbers = self._ages.setdefault(name, []), self._numbers.setdefault(name, [])
+            self.listen(name, topic["type"], _counter(_load(topic), ages, numbers))
+        tell("counting")
+
+    def _tally(self) -> None:
+        """Tell what has come of the numbered messages since the last tally, and the topics that were silent."""
+        ages, got, distinct, silent, disorder = list[int](), 0, 0, 0, 0
+        for name, numbers in self._numbers.items():
+            ages += self._ages[name]
+            got += len(numbers)
+            distinct += len(set(numbers))
+            silent += not numbers
+            disorder += sum(1 for one, two in itertools.pairwise(numbers) if two < one)
+            self._ages[name].clear()
+            numbers.clear()
+        tell("tallied", ages=ages, got=got, distinct=distinct, silent=silent, disorder=disorder)
 
     def _clear(self) -> None:
         for ages in self._ages.values():
@@ -127,6 +152,14 @@ class End(ABC):
 
 def _collector(prepared: Stamped, ages: list[int]) -> Callable[[bytes], None]:
     return lambda payload: ages.append(prepared.age(payload))
+
+
+def _counter(prepared: Stamped, ages: list[int], numbers: list[int]) -> Callable[[bytes], None]:
+    def heard(payload: bytes) -> None:
+        ages.append(prepared.age(payload))
+        numbers.append(prepared.number(payload))
+
+    return heard
 
 
 def tell(event: str, **values: Any) -> None:

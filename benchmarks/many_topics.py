@@ -1,0 +1,191 @@
+"""Hundreds of topics between ROS 1 and ROS 2 through the daemon: what they cost idle and busy, and whether all arrives.
+
+Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages a second on each, every
+one numbered and counted at its other end; then one more topic runs at 250 Hz beside the idle ones, and as it did alone,
+in a round of its own before and after. Where the project promises an absolute limit, this is the peer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import statistics
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.latency.cases import NUMBERED, prepare
+from benchmarks.latency.figures import figures
+from benchmarks.latency.network import BACK, THERE
+from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, text, total
+from benchmarks.rows import Row, add_json_option, report
+
+WAYS = {THERE: ("ros1", "ros2", "ROS 1 to ROS 2"), BACK: ("ros2", "ros1", "ROS 2 to ROS 1")}
+IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
+"""The project's limits: of all the daemon's processes and of both workers in percent of a core, microseconds."""
+FAST = 250.0
+
+
+class Crowd(Stage):
+    """The daemon with so many topics each way, and one more for each way on which messages are sent fast."""
+
+    def __init__(self, topics: int, *, realtime: bool) -> None:
+        super().__init__({"ros2": {"transport": "shared_memory"}, "log": {"level": "warning"}})
+        try:
+            self._message = prepare(NUMBERED, self.place.folder)
+            self._topics = {way: [f"/many/{way}_{i}" for i in range(topics)] for way in WAYS}
+            self.start_bridge()
+            self._ends("fast", {way: [f"/fast/{way}"] for way in WAYS})
+            if topics:
+                self._ends("many", self._topics)
+            self.meter = Meter(self.pids())
+            if realtime:
+                self.prefer()
+        except BaseException:
+            self.close()
+            raise
+
+    def _ends(self, part: str, topics: Mapping[str, Sequence[str]]) -> None:
+        """Start the senders and listeners of some topics, and wait until each of these has a message through."""
+        for kind in ("ros1", "ros2"):
+            for role in ("listener", "sender"):
+                self.launch(f"{kind} {part} {role}", f"benchmarks.latency.{kind}_end", system=kind == "ros1")
+        for kind in ("ros1", "ros2"):
+            for role in ("listener", "sender"):
+                self.wait_for(f"{kind} {part} {role}", "ready")
+        for way, (source, target, _) in WAYS.items():
+            heard = [self._message.topic(name, ros1=target == "ros1") for name in topics[way]]
+            sent = [self._message.topic(name, ros1=source == "ros1") for name in topics[way]]
+            self.command(f"{target} {part} listener", "count", "counting", topics=heard)
+            self.command(f"{source} {part} sender", "advertise", "advertised", topics=sent)
+        for way, (source, target, _) in WAYS.items():
+            self._wait_until_all_cross(f"{source} {part} sender", f"{target} {part} listener", topics[way])
+
+    def _wait_until_all_cross(self, sender: str, listener: str, topics: Sequence[str]) -> None:
+        end = time.monotonic() + UP_SECONDS
+        while True:
+            self.command(sender, "drum", "drumming", topics=topics, rate=1.0, seconds=1.0)
+            self.wait_for(sender, "drummed")
+            time.sleep(0.3)
+            silent = self.command(listener, "tally", "tallied")["silent"]
+            if not silent:
+                return
+            if time.monotonic() > end:
+                msg = f"{silent} of {len(topics)} topics from {sender} to {listener} are silent:\n{self.words()}"
+                raise RuntimeError(msg)
+
+    def idle(self, seconds: float) -> dict[str, Usage]:
+        """What the processes take while nothing is sent."""
+        time.sleep(2.0)  # what followed from the last messages is over by then
+        self.meter.start()
+        time.sleep(seconds)
+        return self.meter.read()
+
+    def drum(
+        self, part: str, ways: Sequence[str], rate: float, seconds: float
+    ) -> tuple[dict[str, dict[str, Any]], dict[str, Usage]]:
+        """Send on the topics of some ways; what arrived each way, and what the processes took."""
+        topics = {way: self._topics[way] if part == "many" else [f"/fast/{way}"] for way in ways}
+        self.meter.start()
+        for way in ways:
+            sender = f"{WAYS[way][0]} {part} sender"
+            self.command(sender, "drum", "drumming", topics=topics[way], rate=rate, seconds=seconds)
+        time.sleep(seconds)
+        used = self.meter.read()
+        for way in ways:
+            self.wait_for(f"{WAYS[way][0]} {part} sender", "drummed")
+        time.sleep(0.5)
+        told = {way: self.command(f"{WAYS[way][1]} {part} listener", "tally", "tallied") for way in ways}
+        return {way: t | {"sent": round(rate * seconds) * len(topics[way])} for way, t in told.items()}, used
+
+
+class Samples:
+    """Figures of the fast topic, by way and condition."""
+
+    def __init__(self) -> None:
+        self._all: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+
+    def take(self, crowd: Crowd, condition: str, seconds: float) -> None:
+        """Send each way, one after the other."""
+        for way in WAYS:
+            told, used = crowd.drum("fast", [way], FAST, seconds)
+            p50, p99 = figures(told[way]["ages"])
+            for figure, value in (("p50", p50), ("p99", p99), ("CPU", total(used, WORKERS))):
+                self._all[way, condition, figure].append(value)
+            lost = told[way]["sent"] - told[way]["distinct"]
+            say(text(f"one topic at {FAST:g} Hz, {WAYS[way][2]}, {condition}, {lost} lost", used))
+
+    def rows(self, count: int) -> list[Row]:
+        """A row of each way and figure: medians, beside idle topics and alone."""
+        rows = []
+        for way, (_, _, name) in WAYS.items() if self._all else ():
+            for figure, unit in (("CPU", "%"), ("p50", "us"), ("p99", "us")):
+                ours, alone = (statistics.median(self._all[way, which, figure]) for which in ("beside", "alone"))
+                what = "CPU of both workers" if figure == "CPU" else figure
+                rows.append(Row(f"{FAST:g} Hz beside {count} idle, {name}, {what}, to alone", ours, alone, unit))
+        return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    args = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING)
+    count, samples = 2 * (args.topics // 2), Samples()
+    rows: list[Row] = []
+    for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
+        with Crowd(count // 2 if condition == "beside" else 0, realtime=args.realtime) as crowd:
+            if "idle" in args.parts:
+                idle = crowd.idle(args.seconds)
+                say(text(f"{condition}, nothing sent", idle))
+                if condition == "beside":
+                    rows.append(
+                        Row(f"{count} idle, CPU of the daemon, to the limit", total(idle, DAEMON), IDLE_CPU, "%")
+                    )
+            if "fast" in args.parts:
+                samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
+            if condition == "beside" and "busy" in args.parts:
+                rows += _busy(crowd, count, args.rate, args.seconds)
+    report(rows + samples.rows(count), args.json)
+
+
+def _busy(crowd: Crowd, count: int, rate: float, seconds: float) -> list[Row]:
+    told, used = crowd.drum("many", list(WAYS), rate, seconds)
+    say(text(f"{count} topics at {rate:g} Hz", used))
+    case = f"{count} at {rate:g} Hz"
+    rows = [Row(f"{case}, CPU of both workers, to the limit", total(used, WORKERS), BUSY_CPU, "%")]
+    for way, (_, _, name) in WAYS.items():
+        tally = told[way]
+        p50, p99 = figures(tally["ages"])
+        say(f"{name}: p50 {p50:.0f} us, {tally['got'] - tally['distinct']} doubled, {tally['disorder']} out of order")
+        rows.append(Row(f"{case}, {name}, arrived of sent", tally["distinct"], tally["sent"], "msgs", "more"))
+        rows.append(Row(f"{case}, {name}, p99, to the limit", p99, BUSY_P99, "us"))
+    return rows
+
+
+def say(words: str) -> None:
+    """Tell beside the rows."""
+    print(words, file=sys.stderr, flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parts = ("idle", "busy", "fast")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=parts, help="what is measured (default all)")
+    parser.add_argument("--topics", type=int, default=500, metavar="N", help="topics, half of them each way (500)")
+    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages a second on each (10)")
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="length of each measurement (20)")
+    parser.add_argument(
+        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
+    )
+    add_json_option(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    main()
