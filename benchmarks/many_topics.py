@@ -44,7 +44,7 @@ class Crowd(Stage):
             self._ends("fast", {way: [f"/fast/{way}"] for way in WAYS})
             if topics:
                 self._ends("many", self._topics)
-            self.meter = Meter(self.pids())
+            self.meter = Meter(self.process_ids())
             if realtime:
                 self.prefer()
         except BaseException:

@@ -91,7 +91,7 @@ class Stage:
             raise RuntimeError(msg)
         return told
 
-    def pids(self) -> dict[str, int]:
+    def process_ids(self) -> dict[str, int]:
         """Process ids by name: the daemon's processes, the ROS master, the ends."""
         ends = {name: child.pid for name, child in self._children.items() if name not in ("roscore", "daemon")}
         return processes(self.place.folder) | ends

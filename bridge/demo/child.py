@@ -47,11 +47,6 @@ class Child:
         self._reader.start()
 
     @property
-    def pid(self) -> int:
-        """Its process id."""
-        return self._popen.pid
-
-    @property
     def running(self) -> bool:
         """Whether the process lives."""
         return self._popen.poll() is None
