@@ -47,6 +47,11 @@ class Child:
         self._reader.start()
 
     @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._popen.pid
+
+    @property
     def running(self) -> bool:
         """Whether the process lives."""
         return self._popen.poll() is None
