@@ -60,11 +60,29 @@ class Endpoint:
     definition: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """Another Midspan worker that is on this side's network now.
+
+    Attributes:
+        id: tells it from the others while it is there, in the edge's own words.
+        record: what it announced last (`Edge.announce`), None while only its being there is known.
+        heard: ``time.monotonic()`` when that arrived, or when it was first seen.
+    """
+
+    id: str
+    record: bytes | None
+    heard: float
+
+
 class EdgeListener(Protocol):
     """What an edge tells the engine; each call only sets a flag and wakes a thread."""
 
     def graph_changed(self) -> None:
         """The endpoints, their qualities or the network's identity may have changed."""
+
+    def presence_changed(self) -> None:
+        """Another Midspan worker came to this side's network, left it, or announced something."""
 
     def edge_failed(self, reason: str) -> None:
         """The edge cannot go on by itself; the worker ends and is started again."""
@@ -142,6 +160,28 @@ class Edge(ABC):
     @abstractmethod
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` where the type cannot be used."""
+
+    def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
+        """Tell all other Midspan workers on this side's network, those that come later too; replaces the last record.
+
+        Called some five times a second by one thread, with up to some kilobytes. It also says that this worker lives,
+        so every record is sent, even one that equals the last; none is queued behind another.
+        """
+
+    def sightings(self) -> Sequence[Sighting]:
+        """The other Midspan workers on this very network, whatever daemon, node or hub they belong to.
+
+        One that left in good order, or whose death the side tells, is gone at once; one that may be standing still stays,
+        and its ``heard`` tells. Dead predecessors of this very daemon are left out.
+        """
+        return ()
+
+    def settled(self, since: float) -> bool:  # noqa: ARG002 - there is nobody to be seen
+        """Whether every Midspan worker that was on this network at ``since`` (``time.monotonic()``) is seen by now.
+
+        False while the network is away. Until then nothing crosses.
+        """
+        return True
 
     def side_name(self, hub_name: str) -> str:
         """The side's spelling of a hub topic name."""

@@ -106,6 +106,9 @@ class Engine:
         """A graph changed: look again soon. Only wakes; may be called from any thread."""
         self._wake.set()
 
+    def presence_changed(self) -> None:
+        """Another Midspan worker came, went or announced something. Only wakes; may be called from any thread."""
+
     def edge_failed(self, reason: str) -> None:
         """The edge cannot go on: tell the worker."""
         self._on_failure(reason)
