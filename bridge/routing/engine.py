@@ -67,7 +67,7 @@ class Engine:
         self._types = TypeBook(hub, edge, self.graph_changed)
         small, bulk = (Dispatcher(f"midspan-{edge.side}-{size}") for size in ("small", "bulk"))
         self._joint = Joint(hub, edge, self._pulse, self._types, small, bulk, self.graph_changed)
-        self._inward, self._outward = Inward(self._joint), Outward(self._joint)
+        self._inward, self._outward = Inward(self._joint), Outward(self._joint, daemon)
         self._closers: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name=f"midspan-{edge.side}-engine", daemon=True)
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from bridge.adapters.base import EdgePublisher
 from bridge.hub.graph import HubEndpoint
+from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.hub.subscription import HubSample, HubSubscription
 from bridge.messages.conversion import Conversion
@@ -44,8 +45,8 @@ class OutRoute(Route):
     """One topic and type of the hub, published on the side.
 
     Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not
-    name (they come from this very network, or are not yet known) do not pass. ``origin`` is the side that the topic's
-    first publisher comes from.
+    name (they come from this very network, or are not yet known) do not pass. ``origin`` is where the topic's first
+    publisher comes from, None for a native program of the hub.
     """
 
     direction = "out"
@@ -54,7 +55,7 @@ class OutRoute(Route):
         self,
         key: RouteKey,
         side_topic: str,
-        origin: str,
+        origin: Origin | None,
         conversion: Conversion,
         decision: Decision,
         joint: Joint,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 
 from bridge.hub.graph import HubEndpoint
-from bridge.routing.guard import may_leave, origin_side
+from bridge.hub.origin import Origin
+from bridge.routing.guard import may_leave
 from bridge.routing.joint import Joint, attempt, convert
 from bridge.routing.outroute import OutRoute
 from bridge.routing.route import RouteKey
@@ -14,10 +15,16 @@ from bridge.routing.verdict import Verdict
 
 
 class Outward:
-    """Follows the hub's publishers; the engine's loop alone calls it, but for `routes`."""
+    """Follows the hub's publishers; the engine's loop alone calls it, but for `routes`.
 
-    def __init__(self, joint: Joint) -> None:
+    Args:
+        joint: what the routes share.
+        daemon: this daemon's name: the rules of another one let in what comes by it.
+    """
+
+    def __init__(self, joint: Joint, daemon: str) -> None:
         self._joint = joint
+        self._daemon = daemon
         self._routes: dict[tuple[RouteKey, str], OutRoute] = {}
 
     def routes(self) -> list[OutRoute]:
@@ -50,8 +57,9 @@ class Outward:
             else:
                 self._routes.pop(out_key).close()
 
-    def _decide(self, rules: RuleSet, origin: str, key: RouteKey) -> Decision:
-        return rules.leave(origin, self._joint.edge.side, key.topic, key.type_name)
+    def _decide(self, rules: RuleSet, origin: Origin | None, key: RouteKey) -> Decision:
+        side, elsewhere = ("zenoh", False) if origin is None else (origin.side, origin.daemon != self._daemon)
+        return rules.leave(side, self._joint.edge.side, key.topic, key.type_name, elsewhere=elsewhere)
 
     def _follow(
         self,
@@ -67,7 +75,7 @@ class Outward:
             if not may_leave(endpoint, self._joint.edge):
                 refused.append(endpoint)
                 continue
-            decision = self._decide(rules, origin_side(endpoint), key)
+            decision = self._decide(rules, endpoint.origin, key)
             side_topic = decision.name if decision.name != key.topic else self._joint.edge.side_name(key.topic)
             if decision.allowed:
                 by_name.setdefault(side_topic, (decision, []))[1].append(endpoint)
@@ -101,8 +109,7 @@ class Outward:
             if conversion is None:
                 self._joint.types.ask(key.type_name, key.type_id)
                 return
-            origin = origin_side(endpoints[0][0])
-            route = OutRoute(key, side_topic, origin, conversion, decision, self._joint)
+            route = OutRoute(key, side_topic, endpoints[0][0].origin, conversion, decision, self._joint)
             self._routes[out_key] = route
         live.add(out_key)
         attempt(route, lambda: route.update(*endpoints), verdict)

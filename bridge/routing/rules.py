@@ -72,11 +72,12 @@ class RuleSet:
             or self._default(topic)
         )
 
-    def leave(self, origin: str, side: str, topic: str, type_name: str) -> Decision:
+    def leave(self, origin: str, side: str, topic: str, type_name: str, *, elsewhere: bool = False) -> Decision:
         """May a hub topic that came from the side ``origin`` leave the hub to ``side``?
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so that rules without ``to`` hold for it whole;
-        for others such rules were applied at their entry, and only deny, class and QoS hold here too.
+        for others such rules were applied at their entry, and only deny, class and QoS hold here too. ``elsewhere``:
+        another daemon let it in, whose rules are not these.
         """
         matches = list(self._matches(origin, topic, type_name))
         here = [m for m in matches if m.rule.to == side]
@@ -92,6 +93,8 @@ class RuleSet:
             return Decision(allowed=False, why="rules allow it to other sides only", name=topic)
         if native:
             return self._private(origin, topic) or self._default(topic)
+        if elsewhere and self.section.default == "deny":
+            return self._default(topic)
         return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str) -> Iterator[_Match]:

@@ -40,7 +40,7 @@ def test_only_what_is_no_command_waits_for_its_source(topic: str, kept: int) -> 
         inwards._deliver(b"payload", "unknown", None)
         assert (len(inwards._pending), inwards.counters.drops["unknown"]) == (kept, 1 - kept)
         inwards.close()
-        outwards = OutRoute(key, topic, "zenoh", conversion, decision, joint)
+        outwards = OutRoute(key, topic, None, conversion, decision, joint)
         outwards.update([], [])
         outwards._handle(HubSample(zenoh.ZBytes(b"payload"), 1, 1, b"g" * 16, "nobody"))
         assert (len(outwards._pending), outwards.counters.drops["unknown"]) == (kept, 1 - kept)

@@ -48,7 +48,7 @@ def test_entering(entries: list[dict], section: dict, side: str, topic: str, all
     ("entries", "section", "origin", "allowed"),
     [
         ([], {}, "ros1", True),
-        ([], {"default": "deny"}, "ros1", True),  # a gate elsewhere let it in
+        ([], {"default": "deny"}, "ros1", True),  # this daemon's gate let it in
         ([], {"default": "deny"}, "zenoh", False),
         ([{"topic": "/scan"}], {"default": "deny"}, "zenoh", True),
         ([{"topic": "/scan", "to": "ros2"}], {"default": "deny"}, "ros1", True),
@@ -60,6 +60,16 @@ def test_entering(entries: list[dict], section: dict, side: str, topic: str, all
 )
 def test_leaving_to_ros2(entries: list[dict], section: dict, origin: str, allowed: bool) -> None:
     assert rules(*entries, **section).leave(origin, "ros2", "/scan", STRING).allowed is allowed
+
+
+def test_what_another_daemon_let_in_needs_a_rule_of_an_allow_list() -> None:
+    def leaves(topic: str, default: str) -> bool:
+        compiled = rules({"topic": "/scan"}, default=default)
+        return compiled.leave("ros1", "ros2", topic, STRING, elsewhere=True).allowed
+
+    assert leaves("/scan", "deny")
+    assert not leaves("/other", "deny")
+    assert leaves("/other", "allow")
 
 
 @pytest.mark.parametrize(
