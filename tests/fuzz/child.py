@@ -1,0 +1,50 @@
+"""The process that fuzzes: takes work as JSON lines on its standard input, and answers with JSON lines."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from tests.fuzz.run import JOURNAL_IDLE, Journal, fuzz
+from tests.fuzz.shrink import shrunk
+from tests.fuzz.target import Subject
+from tests.fuzz.targets import TARGETS
+
+
+def main() -> None:
+    """Work until the input ends."""
+    logging.disable()
+    journal = Journal(Path(sys.argv[1]))
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    subjects: dict[str, Subject] = {}
+    for line in sys.stdin:
+        work = json.loads(line)
+        journal.write(JOURNAL_IDLE, b"")
+        name = work["target"]
+        if name not in subjects:
+            subjects.clear()
+            subjects[name] = TARGETS[name].make()
+        begun = time.monotonic()
+        answer: dict[str, Any]
+        if work["do"] == "shrink":
+            signature, content = shrunk(subjects[name], base64.b64decode(work["content"]))
+            answer = {"signature": signature, "content": base64.b64encode(content).decode()}
+        else:
+            found = fuzz(subjects[name], work["inputs"], work["seed"], journal.write)
+            answer = {
+                "seconds": time.monotonic() - begun,
+                "findings": [(f.signature, base64.b64encode(f.content).decode(), f.trouble) for f in found],
+            }
+        journal.write(JOURNAL_IDLE, b"")
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

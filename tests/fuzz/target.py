@@ -1,0 +1,41 @@
+"""What is fuzzed: one small target for each parser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+Parse = Callable[[bytes], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A parser made ready.
+
+    Attributes:
+        parse: takes any bytes; raises nothing but what ``refuses`` names, and AssertionError where a promise is broken.
+        seeds: good inputs, made by our encoders or taken from what peers really say.
+        refuses: the documented errors.
+        words: what the format's own words are, to be put anywhere.
+        largest: bytes of the longest input.
+    """
+
+    parse: Parse
+    seeds: Sequence[bytes]
+    refuses: tuple[type[Exception], ...]
+    words: Sequence[bytes] = ()
+    largest: int = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A parser's name, its part of a million inputs, and how it is made ready in the process that fuzzes it."""
+
+    name: str
+    share: int
+    make: Callable[[], Subject]
+
+
+def texts(*lines: str) -> list[bytes]:
+    """Seeds given as text."""
+    return [line.encode() for line in lines]

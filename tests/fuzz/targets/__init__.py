@@ -1,0 +1,10 @@
+"""All targets by name."""
+
+from __future__ import annotations
+
+from tests.fuzz.target import Target
+from tests.fuzz.targets import cli, config, daemon, definitions, hub, interfaces, messages, ros1, ros2
+
+_MODULES = (messages, definitions, interfaces, ros1, ros2, hub, config, daemon, cli)
+
+TARGETS: dict[str, Target] = {target.name: target for module in _MODULES for target in module.TARGETS}

@@ -1,0 +1,88 @@
+"""The daemon: lines between it and its workers, locks in the state folder, priorities of log lines."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+from bridge.daemon.protocol import ProtocolError
+from tests.fuzz.target import Subject, Target, texts
+
+_WORDS = texts('"config":', '"stop":', "true", "null", "{}", "[]", '"beat":', '"state":', '"log":', "1e999", '"\\ud800"', "NaN", "[3,")
+
+
+def _command() -> Subject:
+    """Commands to a worker."""
+    from bridge.config.model import Config
+    from bridge.daemon.protocol import NewConfig, Stop, decode_command, encode_command
+
+    def parse(data: bytes) -> None:
+        decode_command(data)
+
+    seeds = [encode_command(Stop()), encode_command(NewConfig(Config(name="a")))]
+    return Subject(parse, seeds, (ProtocolError,), _WORDS)
+
+
+def _report() -> Subject:
+    """Reports of a worker."""
+    from bridge.daemon.protocol import Beat, Failed, Hello, Log, Reloaded, Restart, decode_report, encode_report
+    from bridge.worker import Health
+
+    def parse(data: bytes) -> None:
+        report = decode_report(data)
+        assert encode_report(decode_report(encode_report(report))) == encode_report(report)
+
+    reports = (Beat(3, Health("running", "x")), Hello(1, "daemon"), Reloaded(), Restart("x"), Failed("y"), Log(20, "z"))
+    return Subject(parse, [encode_report(report) for report in reports], (ProtocolError,), _WORDS)
+
+
+def _lines() -> Subject:
+    """A stream cut into lines, however it is cut into pieces; the first byte says where."""
+    from bridge.daemon.protocol import Lines
+
+    def parse(data: bytes) -> None:
+        step, stream = data[0] + 1 if data else 1, data[1:]
+        pieces, whole = Lines(64), Lines(64)
+        some = [line for at in range(0, len(stream), step) for line in pieces.feed(stream[at : at + step])] + pieces.end()
+        assert all(len(line) <= 64 for line in some)
+        assert some == whole.feed(stream) + whole.end(), some
+
+    return Subject(parse, [b"\5abc\ndef\n", b"\1" + b"x" * 200 + b"\nshort\n", b"\0\n\n\n"], (), texts("\n", "x" * 64, "x" * 65))
+
+
+def _lock() -> Subject:
+    """The text in a lock's file."""
+    from bridge.daemon.lock import Lock
+
+    path = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "lock"
+    lock = Lock(path)
+
+    def parse(data: bytes) -> None:
+        path.write_bytes(data)
+        holder = lock.holder()
+        assert holder is None or isinstance(holder.pid, int)
+
+    seeds = [json.dumps({"pid": 7, "machine": "robot", "owner": "daemon"}).encode(), b""]
+    return Subject(parse, seeds, (), texts('"pid":', "1e999", "null", "NaN", "9" * 5000, "[]", '"owner":'))
+
+
+def _log() -> Subject:
+    """Log lines of a worker, with systemd's priorities before them."""
+    from bridge.daemon.log import split_priority
+
+    def parse(data: bytes) -> None:
+        level, text = split_priority(data.decode(errors="replace"))
+        assert isinstance(level, int)
+        assert isinstance(text, str)
+
+    return Subject(parse, texts("<3>bad", "<6>fine", "plain"), (), texts("<", ">", "<7>", "<9>"))
+
+
+TARGETS = (
+    Target("command", 5_000, _command),
+    Target("report", 20_000, _report),
+    Target("lines", 15_000, _lines),
+    Target("lock", 6_000, _lock),
+    Target("log_line", 10_000, _log),
+)

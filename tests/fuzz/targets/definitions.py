@@ -1,0 +1,166 @@
+"""Definitions of types: texts from connection headers and the hub, names, files of mapping rules, IDL."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from bridge.messages.errors import ConversionError, MessageTypeError
+from tests.fuzz.target import Subject, Target, texts
+
+_LINE = "=" * 80
+_WORDS = texts(
+    _LINE + "\nMSG: ", "\nMSG: a_msgs/B\n", "std_msgs/Header header\n", "float64[9] k\n", "string<=5[<=3] s\n", "[]", "[3]",
+    "[<=3]", "<=7", "byte X=1\n", 'string S="a#b" # c\n', "time t\n", "duration d\n", "wstring w\n", "a_msgs/A a\n", "Header h\n",
+    "bool b true\n", "int8[] n [1, 2]\n", "\r\n", "uint8[268435456] x\n", "builtin_interfaces/Time t\n", "a/msg/B b\n", "\x00",
+)  # fmt: skip
+_SEEDS = [
+    "string data\n",
+    "std_msgs/Header header\nuint32 height\nuint8[] data\nfloat64[36] covariance\n" + _LINE
+    + "\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n",
+    "int32 A=1\nstring B=text # not a comment\nbyte C=-1\na_msgs/B[] parts\n" + _LINE + "\nMSG: a_msgs/B\nfloat32 x\n",
+    'string<=5 text "abc"\nint32[<=2] numbers [1, 2]\nfloat64[3] v [0.1, 0.2, 0.3]\nbool on true\nwstring w "x"\n',
+    "B b\n" + _LINE + "\nMSG: a_msgs/B\nC c\n" + _LINE + "\nMSG: a_msgs/C\nint8 A=1\nint8 one\nint8[] more\n",
+]  # fmt: skip
+
+
+def _definition() -> Subject:
+    """A full definition: read, closed, written as text again, fingerprinted and compiled. The first byte: whose it is."""
+    from bridge.messages.compiler import compile_check
+    from bridge.messages.definition import World
+    from bridge.messages.hashes import md5_sum, rihs01
+    from bridge.messages.parser import closure, parse_full
+    from bridge.messages.text import full_text
+
+    names = {World.ROS1: "a_msgs/A", World.ROS2: "a_msgs/msg/A"}
+
+    def parse(data: bytes) -> None:
+        world = World.ROS2 if data[:1] == b"2" else World.ROS1
+        found = parse_full(data[1:].decode(errors="replace"), names[world], world)
+        schema = closure(found[names[world]], found)
+        text = full_text(schema)
+        again = parse_full(text, names[world], world)
+        mark = rihs01 if world is World.ROS2 else md5_sum
+        assert mark(closure(again[names[world]], again)) == mark(schema), text
+        if world is World.ROS2:
+            compile_check(schema).assemble()
+
+    seeds = [world + text.encode() for text in _SEEDS for world in (b"1", b"2")]
+    return Subject(parse, seeds, (MessageTypeError,), _WORDS)
+
+
+def _header_type() -> Subject:
+    """What a ROS 1 publisher says of its type: name, md5 and definition, one line each and the rest."""
+    from bridge.messages.registry import Registry
+
+    fresh = [Registry(), 0]
+
+    def parse(data: bytes) -> None:
+        if fresh[1] % 300 == 0:
+            fresh[0] = Registry()
+        fresh[1] += 1
+        name, _, rest = data.decode(errors="replace").partition("\n")
+        md5, _, definition = rest.partition("\n")
+        conversion = fresh[0].ros1_to_hub(name, md5, definition)
+        assert conversion.convert is not None
+        for message in (b"", bytes(64), b"\xff" * 64):
+            try:
+                conversion.convert(message)
+            except ConversionError:
+                continue
+
+    seeds = texts(*(f"{name}\n*\n{text}" for text in _SEEDS for name in ("a_msgs/A", "std_msgs/String", "A_msgs/a_b")))
+    return Subject(parse, seeds, (MessageTypeError,), [*_WORDS, b"*\n", b"992ce8a1687cec8c8bd883ec73ca41d1\n", b"\n"])
+
+
+def _hub_type() -> Subject:
+    """What a worker on the hub says of a type: its name and definition."""
+    from bridge.messages.registry import Registry
+
+    fresh = [Registry(), 0]
+
+    def parse(data: bytes) -> None:
+        if fresh[1] % 300 == 0:
+            fresh[0] = Registry()
+        fresh[1] += 1
+        name, _, definition = data.decode(errors="replace").partition("\n")
+        fresh[0].learn_ros2(name, definition)
+        there = fresh[0].hub_to_ros1(name).convert
+        assert there is not None
+        for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
+            try:
+                there(message)
+            except ConversionError:
+                continue
+
+    seeds = texts(*(f"{name}\n{text}" for text in _SEEDS for name in ("a_msgs/msg/A", "a_msgs/srv/A_Request")))
+    return Subject(parse, seeds, (MessageTypeError,), _WORDS)
+
+
+def _service_file() -> Subject:
+    """``.srv`` and ``.action`` files; the first byte chooses which, and which part of it."""
+    from bridge.messages.parts import find_part
+
+    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    names = ["a_msgs/srv/A_Request", "a_msgs/srv/A_Response", "a_msgs/srv/A_Event", "a_msgs/action/A_Goal",
+             "a_msgs/action/A_FeedbackMessage", "a_msgs/action/A_GetResult_Response"]  # fmt: skip
+
+    def parse(data: bytes) -> None:
+        name = names[data[0] % len(names)] if data else names[0]
+        kind = name.split("/")[1]
+        (folder / f"A.{kind}").write_bytes(data[1:])
+        assert find_part(folder, name, name.split("/")[2]) is not None
+
+    seeds = [b"\0int64 a\nint64 b\n---\nint64 sum\n", b"\3int32 order\n---\nint32[] sequence\n---\nint32[] partial\n"]
+    return Subject(parse, seeds, (MessageTypeError,), [*_WORDS, b"---\n", b"\n---\n"], largest=2048)
+
+
+def _idl() -> Subject:
+    """ROS 2's ``.idl`` files, of which rosbags has the reader."""
+    from bridge.messages.stores import parse_idl
+
+    def parse(data: bytes) -> None:
+        parse_idl(data.decode(errors="replace"), "a_msgs/msg/A")
+
+    seeds = texts(
+        "module a_msgs {\n  module msg {\n    struct A {\n      double x;\n      sequence<float, 3> y;\n    };\n  };\n};\n",
+        '#include "b_msgs/msg/B.idl"\nmodule a_msgs { module msg {\n module A_Constants { const int32 N = 3; };\n'
+        ' typedef double d__3[3];\n @verbatim(language="comment", text="x")\n struct A { b_msgs::msg::B b; d__3 v; string<5> s;'
+        " @default(value=2) int16 n; };\n};};\n",
+    )
+    words = texts("module", "struct A {", "};", "sequence<", ">", "@key", "typedef", "const", "::", "[3]", '"', "/*", "*/", "//")
+    return Subject(parse, seeds, (MessageTypeError,), words, largest=600)
+
+
+def _mapping_rules() -> Subject:
+    """ros1_bridge's files of mapping rules."""
+    from bridge.messages.rules import Rules
+
+    file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "rules.yaml"
+
+    def parse(data: bytes) -> None:
+        file.write_bytes(data)
+        rules = Rules([file])
+        rules.ros2_names("a_msgs/A")
+        rules.ros1_names("b_msgs/msg/B")
+        rules.fields("a_msgs/A", "b_msgs/msg/B")
+
+    seeds = texts(
+        "-\n  ros1_package_name: a_msgs\n  ros2_package_name: b_msgs\n",
+        "- {ros1_package_name: a_msgs, ros1_message_name: A, ros2_package_name: b_msgs, ros2_message_name: B,\n"
+        "   fields_1_to_2: {x: y, header.stamp: stamp}}\n",
+        "- ros1_package_name: a\n  ros1_service_name: S\n  ros2_package_name: b\n  ros2_service_name: T\n"
+        "  request_fields_1_to_2:\n    a: b\n",
+    )
+    words = texts("- ", "&a ", "*a", "!!python/object:os.system ", "? ", ": ", "[", "{", "null", "<<: ", "\t", "--- ", "fields_1_to_2: ")
+    return Subject(parse, seeds, (MessageTypeError,), words, largest=1024)
+
+
+TARGETS = (
+    Target("definition", 12_000, _definition),
+    Target("header_type", 3_000, _header_type),
+    Target("hub_type", 3_000, _hub_type),
+    Target("service_file", 4_000, _service_file),
+    Target("idl", 300, _idl),
+    Target("mapping_rules", 1_500, _mapping_rules),
+)

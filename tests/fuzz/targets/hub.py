@@ -1,0 +1,209 @@
+"""The hub: attachments, tokens, names, qualities of service, samples and questions of anybody on the network."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+from typing import Any
+
+from bridge.hub.errors import HubError, WireError
+from tests.fuzz.target import Subject, Target, texts
+
+_NODE = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
+_ENDPOINT = (
+    "@ros2_lv/0/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/RIHS01_"
+    + "ab" * 32
+    + "/::,7:,:,:,,"
+)
+_ORIGIN = "@midspan/0/origin/aac3178e146ba6f1fc6e6a4085e77f21/ros1/run%2Did/robot"
+_TOKEN_WORDS = texts(
+    "/", "%", "//", "@ros2_lv", "@midspan", "/NN/", "/MS/", "/SS/", "/SC/", "origin", "**", "*", "#", "?", "$*", "%00", "%ff", ":", ",",
+    "::dds_::", "_/", "RIHS01_", "%midspan", "0", "00000", "99999", "\x00", "\u0663", "2:1:2,1:1,2:3,4:1,1,1",
+)  # fmt: skip
+
+
+def _attachment() -> Subject:
+    """The attachment of a sample."""
+    from bridge.hub import attachment
+
+    def parse(data: bytes) -> None:
+        read = attachment.unpack(data)
+        assert attachment.pack(*read) == data
+
+    good = attachment.pack(1, 1_700_000_000_000_000_000, bytes(range(16)))
+    return Subject(parse, [good, good[:-1], good + b"\0"], (WireError,), largest=64)
+
+
+def _token() -> Subject:
+    """Liveliness tokens of endpoints, nodes and origins; what is read is written as the same token again, or refused."""
+    from bridge.hub.liveliness import (
+        NodeToken,
+        endpoint_key,
+        gid_of,
+        node_key,
+        origin_key,
+        parse_origin,
+        parse_token,
+    )
+
+    def parse(data: bytes) -> None:
+        key = data.decode(errors="replace")
+        gid_of(key)
+        if key.startswith("@midspan"):
+            origin = parse_origin(key)
+            assert parse_origin(origin_key(origin)) == origin
+            return
+        token = parse_token(key)
+        again = node_key(token) if isinstance(token, NodeToken) else endpoint_key(token)
+        assert parse_token(again) == token, again
+
+    return Subject(parse, texts(_NODE, _ENDPOINT, _ORIGIN), (WireError,), _TOKEN_WORDS)
+
+
+def _graph() -> Subject:
+    """The graph under tokens that come and go, one a line, ``-`` before those that go; in the end nothing is left."""
+    import zenoh
+
+    from bridge.hub.graph import HubGraph
+
+    class Nothing:
+        """A session, its liveliness and its subscribers."""
+
+        def __getattr__(self, _name: str) -> Any:
+            return lambda *_args, **_more: self
+
+    put, delete = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
+
+    def parse(data: bytes) -> None:
+        graph = HubGraph(Nothing(), 0, 8)  # type: ignore[arg-type]
+        keys = data.decode(errors="replace").split("\n")
+        for line in keys:
+            gone = line.startswith("-")
+            graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete if gone else put))  # type: ignore[arg-type]
+        assert len(graph.nodes()) + len(graph.endpoints()) <= 8
+        for endpoint in graph.endpoints():
+            graph.standing(endpoint.zid)
+            assert endpoint in graph.publishers(endpoint.topic) + graph.subscriptions(endpoint.topic) or endpoint.kind
+        for line in keys:
+            graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete))  # type: ignore[arg-type]
+        left = (graph._nodes, graph._endpoints, graph._topics, graph._sessions, graph._zids, graph._marked, graph._origins,
+                graph._origin_tokens)  # fmt: skip
+        assert not any(left), left
+
+    bridge = _ENDPOINT.replace("/MP/%/", "/MP/%midspan/")
+    seeds = texts(f"{_NODE}\n{_ENDPOINT}\n{_ORIGIN}", f"{_ORIGIN}\n{bridge}\n-{_ORIGIN}\n{_ORIGIN}2\n-{bridge}", f"{_NODE}\n-{_NODE}")
+    return Subject(parse, seeds, (), [*_TOKEN_WORDS, *texts("\n", "-", "\n-")])
+
+
+def _qos() -> Subject:
+    """A quality of service as text; what is read is written as the same again."""
+    from bridge.hub.qos import decode_qos, encode_qos
+
+    def parse(data: bytes) -> None:
+        qos = decode_qos(data.decode(errors="replace"))
+        assert decode_qos(encode_qos(qos)) == qos
+
+    seeds = texts("::,7:,:,:,,", "2:1:2,1:1,2:3,4:1,1,1", ":::::", "::,10:9223372036,854775807:,:,,")
+    return Subject(parse, seeds, (WireError,), texts(":", ",", "0", "9223372036", "854775807", "4294967296", "\u0663", "-1"), 200)
+
+
+def _names() -> Subject:
+    """Topic names, type names and hashes; what passes can be a part of a key of zenoh's."""
+    import zenoh
+
+    from bridge.hub.keyexpr import check_topic, dds_type_name, demangle, mangle, ros_type_name, topic_key
+
+    def parse(data: bytes) -> None:
+        topic, _, rest = data.decode(errors="replace").partition(" ")
+        type_name, _, type_hash = rest.partition(" ")
+        key = topic_key(0, topic, type_name, type_hash)
+        assert ros_type_name(dds_type_name(type_name)) == type_name
+        assert demangle(mangle(check_topic(topic))) == topic
+        assert str(zenoh.KeyExpr(key)) == key
+
+    seeds = texts("/a/b std_msgs/msg/String RIHS01_" + "ab" * 32, "/a_b/c1 a/srv/B_Request RIHS01_0", "/\u00e9 a/msg/B_ RIHS01_1")
+    return Subject(parse, seeds, (WireError,), [*_TOKEN_WORDS, *texts(" ", "/msg/", "\n", "@", "/@adv")], 2000)
+
+
+def _question() -> Subject:
+    """Questions and answers of the control plane."""
+    from bridge.hub.control import _params, _read
+
+    def parse(data: bytes) -> None:
+        payload = SimpleNamespace(to_bytes=lambda: data)
+        answer = _read(SimpleNamespace(key_expr="@midspan/0/d/w/status", payload=payload))  # type: ignore[arg-type]
+        assert isinstance(answer.error, str)
+        assert isinstance(_params(SimpleNamespace(payload=_Sized(data))), dict)  # type: ignore[arg-type]
+
+    seeds = texts('{"topic": "/a", "seconds": 3.5}', '{"value": {"routes": []}}', '{"error": "no"}', "{}")
+    return Subject(parse, seeds, (HubError,), texts('"value":', '"error":', "null", "[]", "{}", "NaN", '"\\ud800"'))
+
+
+class _Sized:
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def to_bytes(self) -> bytes:
+        return self._data
+
+
+def _samples() -> Subject:
+    """A subscription under samples with attachments of anything, 34 bytes each: 33 of attachment, one of what is done."""
+    import zenoh
+
+    from bridge.hub import attachment
+    from bridge.hub.qos import Durability, Qos
+    from bridge.hub.subscription import HubSubscription
+
+    class Nothing:
+        """A session, a graph, and whatever they give."""
+
+        def __getattr__(self, _name: str) -> Any:
+            return lambda *_args, **_more: self
+
+        def __str__(self) -> str:
+            return "0"
+
+    put = zenoh.SampleKind.PUT
+
+    def parse(data: bytes) -> None:
+        heard: list[Any] = []
+        qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
+        subscription = HubSubscription(
+            Nothing(), Nothing(), "t", "k", "/t", qos, 1000, heard.append, lambda _closed: None,  # type: ignore[arg-type]
+        )  # fmt: skip
+        hear = subscription._on_latched if qos.latched else subscription._on_sample
+        count = 0
+        for at in range(1, min(len(data), 1000), 34):
+            attached, how = data[at : at + 33], data[at + 33 : at + 34]
+            sample = SimpleNamespace(
+                kind=put, payload=b"x", source_info=None, attachment=SimpleNamespace(to_bytes=lambda a=attached: a),
+            )  # fmt: skip
+            count += 1
+            if how in (b"c", b"d", b"a"):
+                {b"c": subscription.came, b"d": lambda _: subscription.done("0"), b"a": lambda _: subscription.asked("0")}[how](sample)  # type: ignore[operator]
+            else:
+                hear(sample)  # type: ignore[arg-type]
+        assert len(heard) <= count
+        assert 0 <= subscription.lost <= 1_000_000 * count
+
+    def one(sequence: int, time_ns: int, how: bytes = b".") -> bytes:
+        return attachment.pack(sequence, time_ns, bytes(range(16))) + how
+
+    seeds = [latched + b"".join(one(n, 10 + n) for n in (1, 2, 4, 3, 9)) for latched in (b"0", b"1")]
+    seeds += [b"1" + one(1, 1, b"a") + one(2, 2, b"c") + one(1, 1, b"c") + one(3, 3) + one(3, 3, b"d")]
+    return Subject(parse, seeds, (), largest=1000)
+
+
+TARGETS = (
+    Target("attachment", 60_000, _attachment),
+    Target("token", 40_000, _token),
+    Target("hub_graph", 8_000, _graph),
+    Target("qos", 30_000, _qos),
+    Target("hub_names", 25_000, _names),
+    Target("control", 15_000, _question),
+    Target("samples", 6_000, _samples),
+)

@@ -1,0 +1,202 @@
+"""The bytes of messages: the converters, the checks, and the way to and from JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from bridge.messages.errors import ConversionError
+from tests.fuzz.target import Subject, Target
+
+_TYPES = (
+    "std_msgs/msg/String",
+    "std_msgs/msg/Empty",
+    "std_msgs/msg/Bool",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "tf2_msgs/msg/TFMessage",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/PointCloud2",
+    "nav_msgs/msg/OccupancyGrid",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "visualization_msgs/msg/MarkerArray",
+    "std_msgs/msg/Float64MultiArray",
+    "rcl_interfaces/msg/ParameterEvent",
+    "rcl_interfaces/msg/Log",
+)
+
+
+def _machine() -> Subject:
+    """The machine itself, on memory with forbidden pages around it: one byte out of bounds ends the process.
+
+    An input's first byte chooses the program, the second whether the message stands at the beginning or the end.
+    """
+    from bridge.messages.machine import run
+    from bridge.messages.ops import DIRTY
+    from bridge.messages.registry import Registry
+    from bridge.messages.transcoder import _error
+    from tests.messages.guarded import SIZE, TYPES, Guarded, programs
+
+    registry = Registry()
+    source, target = Guarded(), Guarded()
+    made = [program for name in TYPES for program in programs(registry, name)]
+    ready = [(program, memory := program.assemble(), int(memory.ctypes.data)) for program, _ in made]
+
+    def parse(data: bytes) -> None:
+        if len(data) < 2:
+            return
+        program, _, address = ready[data[0] % len(ready)]
+        first, message = data[1] & 1, data[2:]
+        at = source.put_first(message) if first else source.put(message)
+        size = run(address, at, len(message), 0)
+        if size < 0:
+            raise _error(program, size)
+        size &= ~DIRTY
+        if size <= SIZE:
+            written = run(address, at, len(message), target.start if first else target.end - size)
+            assert written & ~DIRTY == size, (written, size)
+
+    seeds = [bytes([number, place]) + good for number, (_, good) in enumerate(made) for place in (0, 1)]
+    return Subject(parse, seeds, (ConversionError,))
+
+
+def _convert() -> Subject:
+    """What the bridge calls; what comes out is good input of the other direction, and in its normal form."""
+    from bridge.messages.json import from_json
+    from bridge.messages.registry import Registry
+    from tests.messages.samples import sample
+
+    registry = Registry()
+    ways: list[tuple[Callable[[bytes], bytes], Callable[[bytes], bytes]]] = []
+    seeds: list[bytes] = []
+    for name in _TYPES:
+        check, back = registry.hub_check(name), registry.hub_to_ros1(name)
+        there = registry.ros1_to_hub(back.target.name, back.target.type_id)
+        assert back.convert is not None
+        assert there.convert is not None
+        for length in (0, 1, 3):
+            cdr = from_json(registry, name, sample(registry.schema(name), length))
+            goods = (cdr, back.convert(cdr), cdr)
+            seeds += [bytes([len(ways) + number]) + good for number, good in enumerate(goods)]
+        ways += [(back.convert, there.convert), (there.convert, check), (check, check)]
+
+    def parse(data: bytes) -> None:
+        convert, onward = ways[data[0] % len(ways)] if data else ways[0]
+        out = convert(data[1:])
+        try:
+            again = onward(out)
+        except ConversionError as err:
+            raise AssertionError(f"what came out is refused: {err}") from err
+        assert onward is not convert or again is out, "the check's result is not in its normal form"
+
+    return Subject(parse, seeds, (ConversionError,))
+
+
+def _rosbags() -> Subject:
+    """Whatever is accepted is converted to the very bytes that rosbags makes of it."""
+    from rosbags.typesys import Stores, get_typestore
+
+    from bridge.messages.json import from_json
+    from bridge.messages.registry import Registry
+    from tests.messages.samples import sample
+
+    registry, store = Registry(), get_typestore(Stores.ROS2_JAZZY)
+    same = [name for name in _TYPES if not name.startswith(("rcl_interfaces", "visualization_msgs"))]
+    seeds: list[bytes] = []
+    ways = []
+    for name in same:
+        check, back = registry.hub_check(name), registry.hub_to_ros1(name)
+        there = registry.ros1_to_hub(back.target.name, back.target.type_id).convert
+        assert back.convert is not None
+        assert there is not None
+        cdr = from_json(registry, name, sample(registry.schema(name)))
+        seeds += [bytes([2 * len(ways)]) + cdr, bytes([2 * len(ways) + 1]) + back.convert(cdr)]
+        ways.append((name, check, back.convert, there))
+
+    def parse(data: bytes) -> None:
+        number = data[0] % (2 * len(ways)) if data else 0
+        name, check, to_ros1, to_hub = ways[number // 2]
+        message = data[1:]
+        if number % 2:
+            ours = to_hub(message)
+            normal = to_ros1(ours)  # bools other than 0 and 1 are made 1, which rosbags leaves
+            theirs = bytes(store.ros1_to_cdr(normal, name))
+        else:
+            ours = to_ros1(message)
+            theirs = bytes(store.cdr_to_ros1(check(message), name))
+        assert ours == theirs, f"{name}: {ours.hex()} and rosbags {theirs.hex()}"
+
+    return Subject(parse, seeds, (ConversionError,), largest=2048)
+
+
+def _to_json() -> Subject:
+    """Messages for people: ``topic echo``. What JSON has is encoded to the same bytes again."""
+    from bridge.messages.json import from_json, to_json
+    from bridge.messages.registry import Registry
+    from tests.messages.samples import sample
+
+    registry = Registry()
+    seeds = [
+        bytes([number]) + from_json(registry, name, sample(registry.schema(name)))
+        for number, name in enumerate(_TYPES)
+    ]
+
+    def parse(data: bytes) -> None:
+        name = _TYPES[data[0] % len(_TYPES)] if data else _TYPES[0]
+        json.dumps(to_json(registry, name, data[1:]))
+
+    return Subject(parse, seeds, (ConversionError,), largest=2048)
+
+
+def _from_json() -> Subject:
+    """Values that people give: ``topic pub``, plain keys of zenoh."""
+    from bridge.messages.json import from_json
+    from bridge.messages.registry import Registry
+    from tests.messages.samples import sample
+
+    registry = Registry()
+    seeds = [
+        bytes([number]) + json.dumps(sample(registry.schema(name))).encode() for number, name in enumerate(_TYPES)
+    ]
+
+    def parse(data: bytes) -> None:
+        name = _TYPES[data[0] % len(_TYPES)] if data else _TYPES[0]
+        try:
+            value = json.loads(data[1:])
+        except (ValueError, RecursionError):
+            return
+        from_json(registry, name, value)
+
+    words = [b"null", b"true", b"1e400", b"NaN", b"-Infinity", b'"\\ud800"', b'"data":', b"{}", b"[]", b'"header":', b"1.0"]
+    return Subject(parse, seeds, (ConversionError,), words, largest=4096)
+
+
+def _static_tf() -> Subject:
+    """Static transforms that are merged."""
+    from bridge.messages.json import from_json
+    from bridge.messages.registry import Registry
+    from bridge.routing.static_tf import TF_TYPE, StaticTransforms
+    from tests.messages.samples import sample
+
+    registry = Registry()
+    check = registry.hub_check(TF_TYPE)
+    kept = [StaticTransforms()]
+
+    def parse(data: bytes) -> None:
+        merged = kept[0].merge(data)
+        assert check(merged) == merged
+        if len(kept[0]) > 40:
+            kept[0] = StaticTransforms()
+
+    seeds = [from_json(registry, TF_TYPE, sample(registry.schema(TF_TYPE), length)) for length in (0, 1, 3)]
+    return Subject(parse, seeds, (ValueError,), largest=1024)
+
+
+TARGETS = (
+    Target("machine", 400_000, _machine),
+    Target("convert", 150_000, _convert),
+    Target("rosbags", 20_000, _rosbags),
+    Target("to_json", 10_000, _to_json),
+    Target("from_json", 6_000, _from_json),
+    Target("static_tf", 3_000, _static_tf),
+)

@@ -1,0 +1,267 @@
+"""ROS 1: connection headers, frames, XML-RPC and HTTP, the master's graph, names, and the ledger's file."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import math
+import socket
+import struct
+import tempfile
+import time
+import xmlrpc.client
+from pathlib import Path
+from typing import Any
+
+from bridge.adapters.ros1.errors import ProtocolError, Ros1Error
+from tests.fuzz.target import Subject, Target, texts
+
+_FIELDS = {
+    "callerid": "/talker", "topic": "/chatter", "type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1",
+    "message_definition": "string data\n", "latching": "1", "midspan_origin": "robot",
+}  # fmt: skip
+_HEADER_WORDS = texts(*(f"{name}=" for name in _FIELDS), "error=no", "=", "\x00", "type=*", "md5sum=*", "latching= 1 ")
+
+
+def _header() -> Subject:
+    """A connection header's fields, and what is taken out of them."""
+    from bridge.adapters.ros1.handshake import decode, encode
+    from bridge.adapters.ros1.probe import Facts
+
+    def parse(data: bytes) -> None:
+        fields = decode(data)
+        assert all(isinstance(name, str) and isinstance(value, str) for name, value in fields.items())
+        if fields.get("type") and fields.get("md5sum"):
+            Facts.of(fields)
+
+    return Subject(parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (ProtocolError,), _HEADER_WORDS)
+
+
+def _wire(data: bytes) -> Any:
+    """A connection on which a peer has said these bytes and hung up."""
+    from bridge.adapters.ros1.deadline import DeadlineSocket
+
+    ours, theirs = socket.socketpair()
+    with theirs:
+        theirs.sendall(data)
+    sock = DeadlineSocket(fileno=ours.detach())
+    sock.deadline = math.inf
+    return sock
+
+
+def _greeting() -> Subject:
+    """The same header off a connection, with its length before it."""
+    from bridge.adapters.ros1.handshake import encode, read_header
+
+    def parse(data: bytes) -> None:
+        with _wire(data) as sock:
+            read_header(sock)
+
+    return Subject(parse, [encode(_FIELDS), encode({}), encode(_FIELDS) + b"\4\0\0\0abcd"], (ProtocolError,), _HEADER_WORDS)
+
+
+def _frames() -> Subject:
+    """A publisher's messages off a connection."""
+    from bridge.adapters.ros1 import reader as module
+
+    module._KEEPALIVE = ()  # a socket pair is no TCP connection
+
+    def frame(size: int) -> bytes:
+        return struct.pack("<I", size) + bytes(range(256)) * (size // 256) + bytes(size % 256)
+
+    def parse(data: bytes) -> None:
+        messages: list[bytes] = []
+        sock = _wire(data)
+        reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, lambda _trouble: None)  # type: ignore[arg-type]
+        try:
+            reader._read()
+        finally:
+            reader.close()
+        stream = b"".join(struct.pack("<I", len(message)) + message for message in messages)
+        assert data.startswith(stream)
+
+    seeds = [frame(5) * 3, frame(0) + frame(1000), frame(5000) + frame(3), b"".join(frame(n) for n in range(40))]
+    return Subject(parse, seeds, (ProtocolError,), [struct.pack("<I", n) for n in (0, 1, 2**20, 2**31, 2**32 - 1)])
+
+
+class _Addressed:
+    """A socket of no address as one that has one."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._sock = sock
+
+    def getpeername(self) -> tuple[str, int]:
+        return ("127.0.0.1", 1)
+
+    def getsockname(self) -> tuple[str, int]:
+        return ("127.0.0.1", 2)
+
+    def detach(self) -> int:
+        return self._sock.detach()
+
+
+def _rpc_client() -> Any:
+    from bridge.adapters.ros1.rpc import RpcClient
+
+    class Told(RpcClient):
+        """A client whose server says what the test wants."""
+
+        said = b""
+
+        def _exchange(self, _body: bytes, _deadline: float) -> bytes:
+            return self.said
+
+    return Told("http://127.0.0.1:1/", 1.0)
+
+
+def _answer(value: Any) -> bytes:
+    return xmlrpc.client.dumps((value,), methodresponse=True, allow_none=True).encode()
+
+
+_XML_WORDS = texts(
+    "<value>", "</value>", "<array><data>", "</data></array>", "<struct>", "<member><name>a</name>", "<int>", "<i8>", "<boolean>2</boolean>",
+    "<nil/>", "<base64>!</base64>", "<dateTime.iso8601>x</dateTime.iso8601>", "<double>nan</double>", "<int>9e9</int>", "<ex:nil/>",
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "&#0;", "&lt;", "<![CDATA[", "]]>", "<?xml version='1.0' encoding='utf-16'?>", "<fault>",
+    "<bigdecimal>1e999999</bigdecimal>", "<float>1e999</float>", "<biginteger>1</biginteger>", "<param>", "<methodName>a</methodName>",
+)  # fmt: skip
+
+
+def _xmlrpc() -> Subject:
+    """One answer of a node: code, message, value; and what the handshake takes out of it."""
+    from bridge.adapters.ros1.handshake import _address
+
+    client = _rpc_client()
+
+    def parse(data: bytes) -> None:
+        client.said = data
+        _address(client.call("requestTopic", "/a", "/b", [["TCPROS"]]), "http://x/")
+
+    seeds = [
+        _answer([1, "ready", ["TCPROS", "host", 4242]]), _answer([0, "no", 0]), _answer([1, "", {"a": [1.5, True]}]),
+        xmlrpc.client.dumps(xmlrpc.client.Fault(1, "broken"), methodresponse=True).encode(),
+    ]  # fmt: skip
+    return Subject(parse, seeds, (Ros1Error,), _XML_WORDS)
+
+
+def _graph() -> Subject:
+    """A master's state, as the worker reads it: registrations, types, addresses, who of Midspan is there."""
+    from bridge.adapters.ros1.graph import Looker
+    from bridge.adapters.ros1.presence import Presence, burial, others
+
+    own = Presence("o", "d", "/midspan", "http://me/", 1)
+    entry = {"owner": "x", "daemon": "d", "node": "/midspan2", "uri": "http://h:1/", "pid": 7}
+    state = [[["/chatter", ["/a", "/b"]]], [["/chatter", ["/c"]]], [["/a/service", ["/a"]]]]
+    good = [
+        [[1, "", state]], [[1, "", [["/chatter", "std_msgs/String"]]]], [[1, "", "run-id"]], [[1, "", {"midspan2": entry}]],
+        [[1, "", 4711]], [[1, "", "http://h:11311/"]],
+    ]  # fmt: skip
+    uris = [[[1, "", f"http://{node}:1/"]] for node in "abc"]
+
+    def parse(data: bytes) -> None:
+        client = _rpc_client()
+        looker = Looker(client, "/midspan")
+        client.said = data
+        for _ in range(2):
+            with contextlib.suppress(Ros1Error):
+                look = looker.look()
+                entries = others(look, own)
+                burial(look, entries)
+                hash((look.publishers, look.subscribers))
+        # As the answer to a question about just as many nodes, too.
+        looker._nodes = ("/a", "/b", "/c")
+        looker.look()
+
+    seeds = [_answer(good), _answer([*good, *uris]), _answer([*good[:2], {"faultCode": 1, "faultString": "x"}, *good[3:]])]
+    return Subject(parse, seeds, (Ros1Error,), [*_XML_WORDS, *texts("<int>1</int>", "<string>/a</string>")], largest=16384)
+
+
+def _http() -> Subject:
+    """What a node's HTTP server may say."""
+    from bridge.adapters.ros1.rpc import RpcClient
+
+    body = _answer([1, "", 3])
+
+    def parse(data: bytes) -> None:
+        client = RpcClient("http://127.0.0.1:1/", 5.0)
+        client._http.sock = _wire(data)
+        client._http.connect = _refuse  # type: ignore[method-assign]
+        with contextlib.closing(client):
+            client.call("getPid", "/a")
+
+    head = b"HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\n"
+    seeds = [
+        head + b"Content-Length: %d\r\n\r\n" % len(body) + body,
+        head + b"Transfer-Encoding: chunked\r\n\r\n%x\r\n" % len(body) + body + b"\r\n0\r\n\r\n",
+        head + b"\r\n" + body,
+        b"HTTP/1.0 500 Oh\r\n\r\n",
+    ]
+    words = texts(
+        "HTTP/1.1 100 Continue\r\n\r\n", "\r\n\r\n", "Content-Length: -1\r\n", "Content-Length: 99999999999\r\n", "Transfer-Encoding: chunked\r\n",
+        "FFFFFFFFFFFF\r\n", "Connection: close\r\n", "X: " + "y" * 300 + "\r\n", "HTTP/9.9 200\r\n", "Content-Length: 1_0\r\n", "-5\r\n",
+    )  # fmt: skip
+    return Subject(parse, seeds, (Ros1Error,), words)
+
+
+def _refuse() -> None:
+    raise ConnectionRefusedError
+
+
+def _uri() -> Subject:
+    """Addresses that a master gives of its nodes."""
+    from bridge.adapters.ros1.rpc import RpcClient
+
+    def parse(data: bytes) -> None:
+        RpcClient(data.decode(errors="replace"), 1.0).close()
+
+    seeds = texts("http://robot:11311/", "http://127.0.0.1:4242", "http://[::1]:80/x", "https://h/", "rosrpc://h:1")
+    return Subject(parse, seeds, (Ros1Error,), texts("http://", "[", "]", ":", "@", "%00", "\r\n", "//", "65536", "?", "#"), 512)
+
+
+def _names() -> Subject:
+    """Topic names of ROS 1, made legal on the hub."""
+    from bridge.adapters.ros1.names import MAX_LENGTH, NameTable, hub_name
+    from bridge.hub.keyexpr import check_topic
+
+    def parse(data: bytes) -> None:
+        name = data.decode(errors="surrogateescape")
+        legal = hub_name(name)
+        assert len(legal) <= MAX_LENGTH
+        assert check_topic(legal) == legal
+        assert hub_name(legal) == legal
+        table = NameTable()
+        table.learn([name])
+        assert legal == name or table.side_name(legal) == name
+
+    seeds = texts("/camera/1/image", "/a//b/", "chatter", "/x" * 200, "/é/ü", "", "/", "/_")
+    return Subject(parse, seeds, (), texts("/", "//", "0", "_", "%", "*", "#", "$", "\x00"), 600)
+
+
+def _ledger() -> Subject:
+    """The state folder's file of this daemon's ROS 1 nodes."""
+    from bridge.adapters.ros1.presence import Ledger, Presence
+
+    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    last = Presence("x", "d", "/midspan", "http://h:1/", 7)
+
+    def parse(data: bytes) -> None:
+        (folder / "ros1.json").write_bytes(data)
+        ledger = Ledger(folder)
+        assert ledger.owner
+        assert ledger.last is None or isinstance(ledger.last.parameter, str)
+
+    seeds = [json.dumps({"owner": "abc", "last": last.as_dict()}).encode(), b'{"owner": "abc", "last": null}']
+    return Subject(parse, seeds, (), texts('"owner":', '"last":', "{}", "[]", "null", '"\\ud800"', "1e999", '"uri": 5'))
+
+
+TARGETS = (
+    Target("tcpros_header", 60_000, _header),
+    Target("tcpros_greeting", 15_000, _greeting),
+    Target("tcpros_frames", 15_000, _frames),
+    Target("xmlrpc", 12_000, _xmlrpc),
+    Target("master_graph", 4_000, _graph),
+    Target("http", 8_000, _http),
+    Target("node_uri", 15_000, _uri),
+    Target("ros1_names", 20_000, _names),
+    Target("ros1_ledger", 4_000, _ledger),
+)

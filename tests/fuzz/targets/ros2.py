@@ -1,0 +1,60 @@
+"""ROS 2: the state folder's prefixes, networks told on the hub, type names and hashes told by DDS."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from tests.fuzz.target import Subject, Target, texts
+
+
+def _prefixes() -> Subject:
+    """The state folder's file of past participants."""
+    from bridge.adapters.ros2.origins import _remember
+
+    file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "prefixes"
+    own = bytes(range(12))
+
+    def parse(data: bytes) -> None:
+        file.write_bytes(data)
+        past = _remember(own, file)
+        assert own in past
+        assert len(past) <= 64
+        assert len(file.read_bytes()) < 64 * 8192 + 100
+
+    seeds = [b"".join(bytes([n] * 12).hex().encode() + b"\n" for n in range(20)), b""]
+    return Subject(parse, seeds, (), texts("\n", "zz", "0102", " ", "\x00", "\x85"))
+
+
+def _network() -> Subject:
+    """A network's identity in another session's origin."""
+    from bridge.adapters.ros2.mark import is_marked
+    from bridge.adapters.ros2.origins import Origins
+
+    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    own = bytes(range(12))
+    origins = Origins(own, folder, frozenset, lambda: None)
+    # Past its moment at once, without a timer for each.
+    origins._first_seen = _Seen()
+
+    def parse(data: bytes) -> None:
+        network = data.decode(errors="replace")
+        mine = origins.is_own(network)
+        assert not mine or network.replace(" ", "").strip().lower().endswith(own.hex()), network
+        is_marked(data)
+
+    seeds = [own.hex().encode(), bytes(12).hex().encode(), b"run-id-of-ros1"]
+    return Subject(parse, seeds, (), texts("00", " ", "\t", "g"), 200)
+
+
+class _Seen(dict[bytes, float]):
+    """Each prefix has been seen long ago."""
+
+    def get(self, _prefix: bytes, _default: object = None) -> float:  # type: ignore[override]
+        return 0.0
+
+
+TARGETS = (
+    Target("ros2_prefixes", 5_000, _prefixes),
+    Target("ros2_network", 20_000, _network),
+)

@@ -1,0 +1,178 @@
+"""Looks after the processes that fuzz: notices crashes and hangs, and knows which input it was."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from tests.fuzz.run import JOURNAL, JOURNAL_IDLE, Finding, Journal
+from tests.fuzz.target import Target
+
+_HANG_SECONDS = 4.0
+"""Processor time after which an input counts as one that never ends."""
+
+_STUCK_SECONDS = 60.0
+"""The same in real time: something waits that nobody will wake."""
+
+_PIECE = 150_000
+_MOST_DEATHS = 5
+
+
+@dataclass
+class Outcome:
+    """What came of one target."""
+
+    inputs: int = 0
+    seconds: float = 0.0
+    findings: dict[str, Finding] = field(default_factory=dict)
+
+
+class _Dead(Exception):
+    """The process ended, or was ended, in the middle of an input."""
+
+    def __init__(self, how: str, number: int, content: bytes) -> None:
+        super().__init__(how)
+        self.how, self.number, self.content = how, number, content
+
+
+class _Worker:
+    """One process that fuzzes."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="midspan-fuzz-")
+        path = Path(self._folder.name) / "journal"
+        path.write_bytes(bytes(JOURNAL))
+        self._journal = Journal(path)
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.fuzz.child", str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, "PYTHONHASHSEED": "0", "MALLOC_ARENA_MAX": "1", "TMPDIR": self._folder.name},
+        )
+
+    def ask(self, work: dict[str, Any]) -> dict[str, Any]:
+        """Have some work done; raises `_Dead`."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(work).encode() + b"\n")
+            self._process.stdin.flush()
+        last, since, spent = JOURNAL_IDLE, time.monotonic(), self._spent()
+        while not select.select([self._process.stdout], [], [], 0.25)[0]:
+            number, content = self._journal.read()
+            if number != last or number == JOURNAL_IDLE:
+                last, since, spent = number, time.monotonic(), self._spent()
+            elif self._spent() - spent > _HANG_SECONDS or time.monotonic() - since > _STUCK_SECONDS:
+                self.close()
+                raise _Dead("hang", number, content)
+        line = self._process.stdout.readline()
+        if not line:
+            number, content = self._journal.read()
+            code = self._process.wait()
+            self.close()
+            raise _Dead(f"signal {-code}" if code < 0 else f"exit code {code}", number, content)
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def _spent(self) -> float:
+        try:
+            times = psutil.Process(self._process.pid).cpu_times()
+        except psutil.Error:
+            return 0.0
+        return times.user + times.system
+
+    def close(self) -> None:
+        """End the process."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        self._process.send_signal(signal.SIGKILL)
+        self._process.wait()
+        self._folder.cleanup()
+
+
+class Fuzzing:
+    """Fuzzes targets on several processes, and gathers what came of each.
+
+    Args:
+        targets: each with its number of inputs.
+        seed: where the dice begin.
+        jobs: how many processes.
+    """
+
+    def __init__(self, targets: dict[Target, int], seed: int, jobs: int) -> None:
+        self.outcomes = {target.name: Outcome() for target in targets}
+        self._seed, self._jobs = seed, jobs
+        self._lock = threading.Lock()
+        pieces = [(t.name, k, min(_PIECE, n - k)) for t, n in targets.items() for k in range(0, n, _PIECE)]
+        self._work = deque(sorted(pieces, key=lambda piece: -piece[2]))
+
+    def run(self) -> None:
+        """Do all of it."""
+        threads = [threading.Thread(target=self._job, name=f"fuzz-{n}") for n in range(self._jobs)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _next(self) -> tuple[str, int, int] | None:
+        with self._lock:
+            return self._work.popleft() if self._work else None
+
+    def _job(self) -> None:
+        worker = _Worker()
+        try:
+            while (piece := self._next()) is not None:
+                worker = self._fuzz(worker, *piece)
+        finally:
+            worker.close()
+
+    def _fuzz(self, worker: _Worker, name: str, begin: int, inputs: int) -> _Worker:
+        outcome = self.outcomes[name]
+        found: list[Finding] = []
+        done = 0
+        for life in range(_MOST_DEATHS):
+            seed = f"{name} {self._seed} {begin}" + (f" {life}" if life else "")
+            try:
+                answer = worker.ask({"do": "fuzz", "target": name, "inputs": inputs - done, "seed": seed})
+            except _Dead as dead:
+                worker = _Worker()
+                found.append(Finding(dead.how, dead.content, f"the process ended: {dead.how}"))
+                done += 0 if dead.number == JOURNAL_IDLE else dead.number + 1
+                continue
+            done = inputs
+            outcome.seconds += answer["seconds"]
+            found += [Finding(s, base64.b64decode(c), t) for s, c, t in answer["findings"]]
+            break
+        outcome.inputs += done
+        for finding in found:
+            if finding.signature not in outcome.findings:
+                worker, outcome.findings[finding.signature] = self._shrink(worker, name, finding)
+        return worker
+
+    def _shrink(self, worker: _Worker, name: str, finding: Finding) -> tuple[_Worker, Finding]:
+        content = base64.b64encode(finding.content).decode()
+        try:
+            answer = worker.ask({"do": "shrink", "target": name, "content": content})
+        except _Dead:
+            return _Worker(), finding
+        if answer["signature"] != finding.signature:
+            return worker, finding
+        return worker, Finding(finding.signature, base64.b64decode(answer["content"]), finding.trouble)
