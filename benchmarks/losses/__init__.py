@@ -1,0 +1,1 @@
+"""Parts of `benchmarks/recovery.py`: what is broken, who notices, and what was lost."""

@@ -1,0 +1,202 @@
+"""The losses: what is broken, how it comes back, and from which moment on everything could flow again."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from benchmarks.losses.field import ANCHORS, EXTRAS, JOINER, WORKERS, Field
+from benchmarks.losses.outcome import Outcome, Watch
+from benchmarks.losses.traces import left_behind
+
+PAUSE = 0.3
+"""Seconds after the loss at which the programs say new latched lines."""
+FORGET_SECONDS = 30.0
+"""Fast DDS gives a dead participant up after 20 s, unless its own profile says otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """One kind of loss.
+
+    Attributes:
+        key: short name.
+        name: for people.
+        limit: seconds that it may take to recover; what the issue says, or what the parts that notice it take.
+        happen: break and mend; tells what it took.
+    """
+
+    key: str
+    name: str
+    limit: float
+    happen: Callable[[Field], Outcome]
+
+
+def roscore(field: Field, *, simulated: bool = False) -> Outcome:
+    """Kill roscore and start it again; ROS 1 programs, which never register again by themselves, are started anew."""
+    if simulated and not field.clock:
+        field.master("setParam", "/use_sim_time", True)
+        field.ask("ros1", "clock", "ticking", start=1000.0)
+        field.clock = True
+    elif not simulated:
+        field.master("setParam", "/robot/name", "r1")
+    watch = _settled(field)
+    field.kill("roscore")
+    time.sleep(PAUSE)
+    field.say_state("ros2", "hub")
+    time.sleep(1.0)
+    field.kill("ros1", JOINER)
+    field.start_master()
+    field.master("setParam", "/use_sim_time" if simulated else "/robot/name", True if simulated else "r2")
+    field.start_programs("ros1", JOINER)
+    if simulated:  # a simulation that starts again begins at zero: time goes back
+        field.ask("ros1", "clock", "ticking", start=0.0)
+    outcome = watch.until_steady(time.monotonic())
+    watch.check_state(outcome)
+    outcome.left += left_behind(field)
+    if simulated and field.master("getParam", "/use_sim_time") is not True:
+        outcome.left.append("/use_sim_time is not what was set")
+    if not simulated and field.master("getParam", "/robot/name") != "r2":
+        outcome.left.append("/robot/name is not what was set")
+    return outcome
+
+
+def simulated_roscore(field: Field) -> Outcome:
+    """The same with ``/use_sim_time`` and a clock that begins anew."""
+    outcome = roscore(field, simulated=True)
+    for listener in ("ros2", "hub"):
+        last = field.sounds(time.monotonic() - 1.0).get((listener, "/clock"), [(0.0, 1000.0, 0.0)])[-1][1]
+        if last >= 1000.0:
+            outcome.left.append(f"{listener} hears the old time {last:g}")
+    field.ask("ros1", "clock", "ticking", start=1000.0)
+    return outcome
+
+
+def program(field: Field, side: str) -> Outcome:
+    """Kill a program of a side and start it again; then kill it for good: it is forgotten."""
+    name = EXTRAS[side]
+    field.start_programs(name)
+    watch = _settled(field)
+    field.kill(name)
+    time.sleep(PAUSE)
+    field.say_state(*ANCHORS)
+    field.start_programs(name)
+    outcome = watch.until_steady(time.monotonic())
+    field.kill(name)
+    begun = time.monotonic()
+    while time.monotonic() < begun + FORGET_SECONDS:
+        after = Outcome()
+        watch.check_state(after)
+        if not after.left and not after.missing:
+            break
+    outcome.missing += after.missing
+    outcome.left += after.left
+    return outcome
+
+
+def worker_killed(field: Field, worker: str) -> Outcome:
+    """SIGKILL a worker; the daemon starts it again."""
+    field.until_old(worker)
+    watch = _settled(field)
+    process = field.worker(worker)
+    process.kill()
+    begun = time.monotonic()
+    time.sleep(PAUSE)
+    field.say_state(*ANCHORS)
+    return _after(field, watch, begun, replaced=(worker, process.pid))
+
+
+def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
+    """SIGSTOP workers for a while: shortly, and they go on; for long, and they are replaced."""
+    for worker in workers:
+        field.until_old(worker)
+    watch = _settled(field)
+    processes = [(worker, field.worker(worker)) for worker in workers]
+    begun = time.monotonic()
+    for _, process in processes:
+        process.send_signal(signal.SIGSTOP)
+    time.sleep(PAUSE)
+    field.say_state(*ANCHORS)
+    if seconds > 5.0:  # the heartbeat's limit
+        replaced = [(w, p.pid) for w, p in processes]
+        field.wait(lambda: all(_replaced(field, w, pid) for w, pid in replaced), "the stopped workers are replaced", 20)
+        return _after(field, watch, begun)
+    time.sleep(max(0.0, begun + seconds - time.monotonic()))
+    for _, process in processes:
+        process.send_signal(signal.SIGCONT)
+    outcome = _after(field, watch, time.monotonic())
+    outcome.left += [f"{w} was replaced" for w, p in processes if field.worker(w).pid != p.pid]
+    return outcome
+
+
+def daemon(field: Field) -> Outcome:
+    """SIGKILL the daemon and start it again at once."""
+    watch = _settled(field)
+    field.kill_daemon()
+    field.start_daemon()
+    begun = time.monotonic()
+    time.sleep(PAUSE)
+    field.say_state(*ANCHORS)
+    return _after(field, watch, begun)
+
+
+def daemon_with_workers(field: Field) -> Outcome:
+    """SIGKILL the daemon and all its workers at once, as a crash of all of it would, and start it again."""
+    watch = _settled(field)
+    workers = [field.worker(name) for name in WORKERS]
+    for process in workers:
+        process.kill()
+    field.kill_daemon()
+    field.start_daemon()
+    begun = time.monotonic()
+    time.sleep(PAUSE)
+    field.say_state(*ANCHORS)
+    return _after(field, watch, begun)
+
+
+def _settled(field: Field) -> Watch:
+    """Start watching once everything flows."""
+    first = Watch(field).until_steady(time.monotonic())
+    if not first.recovered:
+        msg = f"nothing can be lost before everything flows: {first}\n{field.words()}"
+        raise RuntimeError(msg)
+    return Watch(field)
+
+
+def _after(field: Field, watch: Watch, returned: float, replaced: tuple[str, int] | None = None) -> Outcome:
+    if replaced is not None:
+        field.wait(lambda: _replaced(field, *replaced), f"{replaced[0]} is started again")
+    outcome = watch.until_steady(returned)
+    watch.check_state(outcome)
+    outcome.left += left_behind(field)
+    return outcome
+
+
+def _replaced(field: Field, worker: str, pid: int) -> bool:
+    found = next((w for w in field.document()["workers"] if w["worker"] == worker), None)
+    return found is not None and found["pid"] not in (0, pid)
+
+
+def _of_workers(what: str, limit: float, happen: Callable[[Field, str], Outcome]) -> list[Loss]:
+    key = what.replace("for ", "").replace(" s", "").replace(" ", "-")
+    return [Loss(f"{w}-{key}", f"the {w} worker {what}", limit, partial(_swapped, happen, w)) for w in WORKERS]
+
+
+def _swapped(happen: Callable[[Field, str], Outcome], worker: str, field: Field) -> Outcome:
+    return happen(field, worker)
+
+
+LOSSES = (
+    Loss("roscore", "roscore killed and started, with parameters", 3.0, roscore),
+    Loss("ros1-node", "a ROS 1 node killed and started", 3.0, lambda field: program(field, "ros1")),
+    Loss("ros2-node", "a DDS participant killed and started", 3.0, lambda field: program(field, "ros2")),
+    *_of_workers("killed", 3.0, worker_killed),
+    *_of_workers("stopped for 2 s", 3.0, lambda field, worker: worker_stopped(field, worker, seconds=2.0)),
+    Loss("daemon", "the daemon killed and started", 3.0, daemon),
+    *_of_workers("stopped for 10 s", 8.0, lambda field, worker: worker_stopped(field, worker, seconds=10.0)),
+    Loss("everything", "the daemon and all workers killed and started", 4.0, daemon_with_workers),
+    Loss("simulated", "roscore killed and started, with simulated time", 3.0, simulated_roscore),
+)

@@ -1,0 +1,141 @@
+"""What one loss cost, from what the programs heard."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from benchmarks.losses.field import ANCHORS, JOINER, Field, Flow
+
+GAP = 0.5
+"""Seconds of silence of a stream of 50 Hz that count as an interruption: busy machines make shorter ones."""
+QUIET = 1.5
+"""Seconds without an interruption after which a flow counts as steady."""
+STALE = 0.75
+"""Seconds after which a command should not come out any more: its time-out of 0.5 s, and the way."""
+STATE_SECONDS = 10.0
+
+Sound = tuple[float, float, float]
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What one loss cost.
+
+    Attributes:
+        recovered: everything flows again.
+        seconds: until it did, from the moment at which it could.
+        slowest: the flow that took longest.
+        gap: longest silence of any flow.
+        stale: commands that came out too late.
+        twice: stream messages that came twice.
+        missing: latched lines that an old or a new listener does not have.
+        left: what is stale on the networks: dead nodes' registrations, lines of the dead.
+    """
+
+    recovered: bool = True
+    seconds: float = 0.0
+    slowest: str = ""
+    gap: float = 0.0
+    stale: int = 0
+    twice: int = 0
+    missing: list[str] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing at all went wrong."""
+        return self.recovered and not (self.stale or self.twice or self.missing or self.left)
+
+    def __str__(self) -> str:
+        """One line."""
+        text = f"{self.seconds:6.2f} s, longest silence {self.gap:6.2f} s {self.slowest}"
+        if not self.recovered:
+            text = f"NOT RECOVERED: {self.slowest}"
+        more = [f"{self.stale} stale commands"] if self.stale else []
+        more += [f"{self.twice} messages twice"] if self.twice else []
+        more += [f"missing: {', '.join(self.missing)}"] if self.missing else []
+        more += [f"left: {', '.join(self.left)}"] if self.left else []
+        return "; ".join([text, *more])
+
+
+class Watch:
+    """Watches a field from one moment on, before anything is broken."""
+
+    def __init__(self, a_field: Field) -> None:
+        self._field = a_field
+        self.since = time.monotonic()
+
+    def until_steady(self, returned: float, seconds: float = 40.0) -> Outcome:
+        """Wait until all flows are steady again, and tell what it took.
+
+        Args:
+            returned: the moment from which on all could flow again.
+            seconds: how long to wait.
+        """
+        end = time.monotonic() + seconds
+        while True:
+            now = time.monotonic()
+            heard = self._field.sounds(self.since - GAP)
+            flows = self._field.flows()
+            bad = [flow for flow in flows if not _is_steady(heard.get(flow, ()), now)]
+            if not bad and now > returned + QUIET:
+                break
+            if now > end:
+                names = ", ".join(f"{listener} hears no {topic}" for listener, topic in bad)
+                return Outcome(recovered=False, seconds=now - returned, slowest=names)
+            time.sleep(0.1)
+        outcome = Outcome()
+        for flow in flows:
+            self._add(outcome, flow, heard[flow], returned)
+        return outcome
+
+    @staticmethod
+    def _add(outcome: Outcome, flow: Flow, sounds: Sequence[Sound], returned: float) -> None:
+        arrivals = [s[0] for s in sounds]
+        for before, after in itertools.pairwise(arrivals):
+            outcome.gap = max(outcome.gap, after - before)
+            if after - before > GAP and after - returned > outcome.seconds:
+                outcome.seconds, outcome.slowest = after - returned, f"({flow[0]} hears {flow[1]})"
+        if arrivals and arrivals[0] - returned > outcome.seconds:  # its first message ever came late
+            outcome.seconds, outcome.slowest = arrivals[0] - returned, f"({flow[0]} hears {flow[1]})"
+        if flow[1].endswith("/cmd_vel"):
+            outcome.stale += sum(1 for arrival, sent, _ in sounds if arrival - sent > STALE)
+        if flow[1].endswith("/stream"):
+            counts = Counter((sent, number) for _, sent, number in sounds)
+            outcome.twice += sum(n - 1 for n in counts.values())
+
+    def check_state(self, outcome: Outcome) -> None:
+        """Whether old and new listeners of each side have the newest latched line of each program, and no other's."""
+        end = time.monotonic() + STATE_SECONDS
+        while True:
+            missing, left = self._compare()
+            if not (missing or left) or time.monotonic() > end:
+                outcome.missing += missing
+                outcome.left += left
+                return
+            time.sleep(0.2)
+
+    def _compare(self) -> tuple[list[str], list[str]]:
+        missing, left = list[str](), list[str]()
+        wanted = self._field.states
+        for name in ANCHORS:
+            lines: Mapping[str, str] = self._field.ask(name, "states", "states")["lines"]
+            missing += [f"{line} at {name}" for n, line in wanted.items() if n != name and lines.get(n) != line]
+        for name in (JOINER, "ros2", "hub"):
+            expected = {line for n, line in wanted.items() if n != name or name == "ros2"}
+            got = self._field.ask(name, "late", "joined", count=len(expected), seconds=2.0)["lines"]
+            missing += [f"{line} at a newcomer on {name}" for line in sorted(expected - set(got))]
+            left += [f"{line} at a newcomer on {name}" for line in sorted(set(got) - expected)]
+            left += [f"{line} {n} times at a newcomer on {name}" for line, n in Counter(got).items() if n > 1]
+        return missing, left
+
+
+def _is_steady(sounds: Sequence[Sound], now: float) -> bool:
+    """Whether there was no interruption lately."""
+    late = [s[0] for s in sounds if s[0] > now - QUIET]
+    times = [now - QUIET, *late, now]
+    return len(late) > 1 and all(b - a < GAP for a, b in itertools.pairwise(times))

@@ -1,0 +1,164 @@
+"""What the programs on each side share: they publish all the time, listen to each other, and obey JSON lines.
+
+Every program has a name and publishes ``/<name>/stream`` (a number each 20 ms), ``/<name>/cmd_vel`` (every second
+beat) and one latched line on ``/state``, which all programs share. Times are CLOCK_MONOTONIC, which all processes of a
+machine share. Standard library only.
+
+Commands (``do``), each answered by an event:
+
+- ``hear`` sources -> hearing;
+- ``state`` number -> stated; ``states`` -> states: the newest line of each program;
+- ``late`` count, seconds -> joined: the lines that a new subscription got;
+- ``heard`` since -> sounds: by topic, arrival, time of sending, number;
+- ``large`` on -> enlarged: also a megabyte five times a second;
+- ``clock`` start -> ticking: also ``/clock``, from this second on;
+- ``nodes`` -> nodes: their names.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from benchmarks.latency.end import tell
+
+PERIOD = 0.02
+KEPT = 20_000
+"""Sounds of one topic that are remembered: more than three minutes of a stream."""
+MEGABYTE = "x" * 1_000_000
+_LARGE_EVERY = 10
+
+
+class Program(ABC):
+    """One program of one middleware."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._sounds: dict[str, deque[tuple[float, float, float]]] = {}
+        self._states: dict[str, str] = {}
+        self._large = False
+        self._clock: float | None = None
+        self._ended = threading.Event()
+
+    @abstractmethod
+    def open(self) -> None:
+        """Make the publishers and the subscription of ``/state``."""
+
+    @abstractmethod
+    def put(self, kind: str, sent: float, number: int) -> None:
+        """Publish on ``stream``, ``cmd_vel``, ``large`` or ``/clock`` (whose time is ``sent``)."""
+
+    @abstractmethod
+    def put_state(self, line: str) -> None:
+        """Publish the latched line."""
+
+    @abstractmethod
+    def listen(self, source: str) -> None:
+        """Listen to another program's stream and commands; to the clock where that is the name."""
+
+    @abstractmethod
+    def late(self, take: Callable[[str], None]) -> Callable[[], None]:
+        """Subscribe to ``/state`` as a newcomer; returns what ends it."""
+
+    @abstractmethod
+    def nodes(self) -> list[str]:
+        """Names of all nodes on the network."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave the network."""
+
+    def run(self, *, silent: bool) -> None:
+        """Publish (unless silent) and obey until the input ends."""
+        if not silent:
+            self.open()
+            threading.Thread(target=self._beat, name="beat", daemon=True).start()
+        tell("ready")
+        commands: dict[str, Callable[..., None]] = {
+            "hear": self._hear,
+            "state": self._state,
+            "states": self._tell_states,
+            "late": self._late,
+            "heard": self._heard,
+            "large": self._set_large,
+            "clock": self._set_clock,
+            "nodes": lambda: tell("nodes", names=self.nodes()),
+        }
+        try:
+            for line in sys.stdin:
+                command = json.loads(line)
+                commands[command.pop("do")](**command)
+        finally:
+            self._ended.set()
+            self.close()
+
+    def sound(self, topic: str, sent: float, number: float) -> None:
+        """A message came."""
+        sounds = self._sounds.get(topic)
+        if sounds is None:
+            sounds = self._sounds.setdefault(topic, deque(maxlen=KEPT))
+        sounds.append((time.monotonic(), sent, number))
+
+    def stated(self, line: str) -> None:
+        """A latched line came."""
+        self._states[line.partition(" ")[0]] = line
+
+    def _beat(self) -> None:
+        number, due = 0, time.monotonic()
+        while not self._ended.is_set():
+            number += 1
+            self.put("stream", time.monotonic(), number)
+            if number % 2:
+                self.put("cmd_vel", time.monotonic(), number)
+                if self._clock is not None:
+                    self._clock += 2 * PERIOD
+                    self.put("clock", self._clock, number)
+            if self._large and number % _LARGE_EVERY == 0:
+                self.put("large", time.monotonic(), number)
+            due = max(due + PERIOD, time.monotonic() - 0.1)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _hear(self, sources: list[str]) -> None:
+        for source in sources:
+            self.listen(source)
+        tell("hearing")
+
+    def _state(self, number: int) -> None:
+        self.put_state(f"{self.name} {number}")
+        tell("stated")
+
+    def _tell_states(self) -> None:
+        tell("states", lines=dict(self._states))
+
+    def _late(self, count: int, seconds: float) -> None:
+        lines: list[str] = []
+        came = threading.Condition()
+
+        def take(line: str) -> None:
+            with came:
+                lines.append(line)
+                came.notify()
+
+        end = self.late(take)
+        with came:
+            came.wait_for(lambda: len(lines) >= count, seconds)
+        end()
+        tell("joined", lines=sorted(lines))
+
+    def _heard(self, since: float) -> None:
+        sounds: dict[str, Any] = {t: [s for s in list(heard) if s[0] >= since] for t, heard in self._sounds.items()}
+        tell("sounds", sounds=sounds)
+
+    def _set_large(self, on: bool) -> None:
+        self._large = on
+        tell("enlarged")
+
+    def _set_clock(self, start: float) -> None:
+        self._clock = start
+        tell("ticking")

@@ -1,0 +1,85 @@
+"""A ROS 1 program: stock rospy. Usage: ``python -m benchmarks.losses.ros1_program NAME [silent]``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rosgraph
+import rospy
+from geometry_msgs.msg import Twist, Vector3
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+from benchmarks.losses.program import MEGABYTE, Program
+
+QUEUE = 100
+
+
+class Ros1Program(Program):
+    """One rospy node."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        rospy.init_node(name, disable_signals=True, disable_rosout=True)
+        self._publishers: dict[str, Any] = {}
+
+    def open(self) -> None:
+        """As the base says."""
+        for kind, type_ in (("stream", Vector3), ("cmd_vel", Twist), ("large", String)):
+            topic = f"/{self.name}/{kind}"
+            self._publishers[kind] = rospy.Publisher(topic, type_, queue_size=QUEUE, tcp_nodelay=True)
+        self._publishers["state"] = rospy.Publisher("/state", String, queue_size=QUEUE, latch=True)
+        rospy.Subscriber("/state", String, lambda m: self.stated(m.data))
+
+    def put(self, kind: str, sent: float, number: int) -> None:
+        """As the base says."""
+        if kind == "stream":
+            message: Any = Vector3(sent, number, 0.0)
+        elif kind == "cmd_vel":
+            message = Twist(linear=Vector3(sent, number, 0.0))
+        elif kind == "large":
+            message = String(MEGABYTE)
+        else:
+            message = Clock(rospy.Time.from_sec(sent))
+            if "clock" not in self._publishers:
+                self._publishers["clock"] = rospy.Publisher("/clock", Clock, queue_size=QUEUE)
+        self._publishers[kind].publish(message)
+
+    def put_state(self, line: str) -> None:
+        """As the base says."""
+        self._publishers["state"].publish(String(line))
+
+    def listen(self, source: str) -> None:
+        """As the base says."""
+        kinds: list[tuple[str, Any, Callable[[Any], tuple[float, float]]]] = [
+            (f"/{source}/stream", Vector3, lambda m: (m.x, m.y)),
+            (f"/{source}/cmd_vel", Twist, lambda m: (m.linear.x, m.linear.y)),
+            (f"/{source}/large", String, lambda _m: (0.0, 0.0)),
+        ]
+        if source == "clock":
+            kinds = [("/clock", Clock, lambda m: (m.clock.to_sec(), 0.0))]
+        for topic, type_, read in kinds:
+
+            def heard(message: Any, topic: str = topic, read: Callable[[Any], tuple[float, float]] = read) -> None:
+                self.sound(topic, *read(message))
+
+            rospy.Subscriber(topic, type_, heard, tcp_nodelay=True, queue_size=QUEUE, buff_size=1 << 22)
+
+    def late(self, take: Callable[[str], None]) -> Callable[[], None]:
+        """As the base says; in a program that has no subscription of it yet, which rospy would share."""
+        subscriber = rospy.Subscriber("/state", String, lambda m: take(m.data))
+        return lambda: subscriber.unregister()
+
+    def nodes(self) -> list[str]:
+        """As the base says."""
+        return sorted({n for kind in rosgraph.Master(rospy.get_name()).getSystemState() for _, ns in kind for n in ns})
+
+    def close(self) -> None:
+        """As the base says."""
+        rospy.signal_shutdown("done")
+
+
+if __name__ == "__main__":
+    Ros1Program(sys.argv[1]).run(silent="silent" in sys.argv)

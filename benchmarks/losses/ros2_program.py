@@ -1,0 +1,99 @@
+"""A ROS 2 program: stock rclpy. Usage: ``python -m benchmarks.losses.ros2_program NAME``."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import Twist, Vector3
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+from benchmarks.losses.program import MEGABYTE, Program
+
+DEPTH = 100
+
+
+class Ros2Program(Program):
+    """One rclpy node."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        rclpy.init()
+        self._node: Any = rclpy.create_node(name)
+        self._publishers: dict[str, Any] = {}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._spinner = threading.Thread(target=self._spin, name="spin", daemon=True)
+        self._spinner.start()
+
+    def open(self) -> None:
+        """As the base says."""
+        for kind, type_ in (("stream", Vector3), ("cmd_vel", Twist), ("large", String)):
+            self._publishers[kind] = self._node.create_publisher(type_, f"/{self.name}/{kind}", DEPTH)
+        self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
+        self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
+
+    def put(self, kind: str, sent: float, number: int) -> None:
+        """As the base says."""
+        if kind == "clock":
+            return  # ROS 1's alone here
+        point = Vector3(x=sent, y=float(number))
+        large = kind == "large"
+        message = String(data=MEGABYTE) if large else Twist(linear=point) if kind == "cmd_vel" else point
+        self._publishers[kind].publish(message)
+
+    def put_state(self, line: str) -> None:
+        """As the base says."""
+        self._publishers["state"].publish(String(data=line))
+
+    def listen(self, source: str) -> None:
+        """As the base says."""
+        kinds: list[tuple[str, Any, Callable[[Any], tuple[float, float]]]] = [
+            (f"/{source}/stream", Vector3, lambda m: (m.x, m.y)),
+            (f"/{source}/cmd_vel", Twist, lambda m: (m.linear.x, m.linear.y)),
+            (f"/{source}/large", String, lambda _m: (0.0, 0.0)),
+        ]
+        if source == "clock":
+            kinds = [("/clock", Clock, lambda m: (m.clock.sec + m.clock.nanosec / 1e9, 0.0))]
+        for topic, type_, read in kinds:
+
+            def heard(message: Any, topic: str = topic, read: Callable[[Any], tuple[float, float]] = read) -> None:
+                self.sound(topic, *read(message))
+
+            self._node.create_subscription(type_, topic, heard, DEPTH)
+
+    def late(self, take: Callable[[str], None]) -> Callable[[], None]:
+        """As the base says."""
+        subscription = self._node.create_subscription(String, "/state", lambda m: take(m.data), _latched(DEPTH))
+        self._executor.wake()
+        return lambda: self._node.destroy_subscription(subscription)
+
+    def nodes(self) -> list[str]:
+        """As the base says."""
+        return list(self._node.get_node_names())
+
+    def close(self) -> None:
+        """As the base says."""
+        self._executor.shutdown(2.0)
+        self._spinner.join(2.0)
+        rclpy.shutdown()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+
+def _latched(depth: int) -> Any:
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # type: ignore[no-untyped-call]
+
+
+if __name__ == "__main__":
+    Ros2Program(sys.argv[1]).run(silent="silent" in sys.argv)
