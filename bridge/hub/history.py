@@ -44,13 +44,14 @@ class Listener(Protocol):
 class History:
     """Asks the publishers of one key, those that are there and those that come, once `open` was called.
 
-    With ``recovers`` it asks again where a publisher's last sample did not come.
+    With ``recovers`` it asks again where a publisher's last sample did not come. ``depth`` is how many samples each of
+    them is asked for; it may be changed later.
     """
 
     def __init__(self, session: zenoh.Session, key: str, depth: int, listener: Listener, *, recovers: bool) -> None:
         self._session = session
         self._key = key
-        self._depth = depth
+        self.depth = depth
         self._listener = listener
         self._recovers = recovers
         self._lock = Lock()
@@ -92,7 +93,7 @@ class History:
         self._listener.asked(zid)
         try:
             self._session.get(
-                f"{publishers}?_max={self._depth}",
+                f"{publishers}?_max={self.depth}",
                 zenoh.handlers.Callback(self._on_reply, lambda: self._listener.done(zid), indirect=False),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
