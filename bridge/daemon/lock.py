@@ -57,7 +57,7 @@ class Lock:
             data = json.loads(os.pread(self._file, 4096, 0))
             owner: Owner = "service" if data["owner"] == "service" else "daemon"
             return Holder(int(data["pid"]), str(data["machine"]), owner)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             return None
 
     def fileno(self) -> int:

@@ -42,6 +42,7 @@ MAX_ARRAY = 1 << 28
 _SEPARATOR = re.compile(r"^={20,}[ \t]*\n", re.MULTILINE)
 _LINE = re.compile(r"(\S+)\s+([A-Za-z_]\w*)\s*(.*)", re.DOTALL)
 _TYPE = re.compile(r"([A-Za-z][\w/]*)(?:<=(\d+))?(?:\[(?:(<=)?(\d+))?\])?(?P<empty>\[\])?")
+_QUOTED = re.compile(r""""(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'""")
 _FOREIGN_TO_ROS1 = re.compile(r"<=|wstring|builtin_interfaces/|/msg/")
 _FOREIGN_TO_ROS2 = re.compile(r"(time|duration|Header)\b(?!/)")
 _BUILTIN_TIMES = {"builtin_interfaces/Time": "time", "builtin_interfaces/Duration": "duration"}
@@ -229,11 +230,7 @@ def parse_default(text: str, field_type: FieldType) -> DefaultValue:
 def _scalar(text: str, base: str) -> DefaultValue:
     text = text.strip()
     if base in STRING_TYPES:
-        if text[:1] in ("'", '"') and text[-1:] == text[:1] and len(text) > 1:
-            value = ast.literal_eval(text)
-            assert isinstance(value, str)
-            return value
-        return text
+        return _unquoted(text) if _QUOTED.fullmatch(text) else text
     if base == "bool":
         if text.lower() in ("true", "1"):
             return True
@@ -242,6 +239,15 @@ def _scalar(text: str, base: str) -> DefaultValue:
         msg = f"{text!r} is not a bool"
         raise ValueError(msg)
     return float(text) if base.startswith("float") else int(text, 0)
+
+
+def _unquoted(text: str) -> str:
+    """A text without its quotes, its escapes resolved as Python's; `ValueError` where there is no such escape."""
+    try:
+        return str(ast.literal_eval(text))
+    except SyntaxError as err:
+        msg = f"{text!r} is not a text: {err.msg}"
+        raise ValueError(msg) from None
 
 
 def _split_list(text: str) -> Iterator[str]:

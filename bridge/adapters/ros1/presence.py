@@ -129,6 +129,6 @@ class Ledger:
     def _load(self) -> Mapping[str, Any]:
         try:
             document = json.loads(self._path.read_text())
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return {}
         return document if isinstance(document, dict) else {}

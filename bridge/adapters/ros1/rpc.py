@@ -19,7 +19,12 @@ from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ProtocolError, RefusedError, UnreachableError
 
 MAX_ANSWER = 64 * 2**20
-"""Bytes of the longest answer that is read: a master's state with 100,000 registrations is about 20 MB."""
+"""Bytes of the longest answer of a master that is read: its state with 100,000 registrations is about 20 MB."""
+
+MAX_NODE_ANSWER = 2**16
+"""The same for a node, which anybody may register: its answers are a few words."""
+
+_PIECE = 64 * 1024
 
 Call = tuple[str, tuple[Any, ...]]
 
@@ -36,19 +41,19 @@ class _Connection(http.client.HTTPConnection):
 class RpcClient:
     """A client of one XML-RPC server that keeps its connection. One thread at a time."""
 
-    def __init__(self, uri: str, timeout: float) -> None:
-        parts = urlsplit(uri)
+    def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
-            host, port = parts.hostname, parts.port
-        except ValueError:
-            host, port = None, None
-        if not host or parts.scheme != "http":
-            msg = f"not a ROS 1 address: {uri!r} (it should look like http://host:11311/)"
-            raise ProtocolError(msg)
+            parts = urlsplit(uri)
+            if not parts.hostname or parts.scheme != "http":
+                raise ValueError
+            self._http = _Connection(parts.hostname, parts.port or 80)
+        except (ValueError, http.client.InvalidURL):
+            msg = f"not a ROS 1 address: {uri[:200]!r} (it should look like http://host:11311/)"
+            raise ProtocolError(msg) from None
         self.uri = uri
         self._path = parts.path or "/"
         self._timeout = timeout
-        self._http = _Connection(host, port or 80)
+        self._limit = limit
         self._last: tuple[bytes, bytes, Any] | None = None
 
     def call(self, method: str, *params: Any) -> Any:
@@ -116,15 +121,19 @@ class RpcClient:
             self._http.sock.deadline = deadline
         self._http.request("POST", self._path, body, {"Content-Type": "text/xml"})
         response = self._http.getresponse()
-        answer = response.read(MAX_ANSWER + 1)
-        if len(answer) > MAX_ANSWER:
-            msg = f"answer longer than {MAX_ANSWER} bytes"
-            raise http.client.HTTPException(msg)
+        answer = bytearray()
+        # In pieces: a server that only claims a long answer costs no memory.
+        while piece := response.read(_PIECE):
+            answer += piece
+            if len(answer) > self._limit:
+                msg = f"answer longer than {self._limit} bytes"
+                raise http.client.HTTPException(msg)
+        if response.length:
+            raise http.client.IncompleteRead(bytes(answer[:80]), response.length)
         if response.status != http.client.OK:
             msg = f"HTTP status {response.status}"
             raise http.client.HTTPException(msg)
-        response.read()
-        return answer
+        return bytes(answer)
 
     def _parse(self, answer: bytes) -> Any:
         try:
@@ -142,8 +151,8 @@ class _Answers(list[Any]):
 
 
 def ask(uri: str, timeout: float, method: str, *params: Any) -> Any:
-    """Call one method of a server on a connection of its own; see `RpcClient.call`."""
-    client = RpcClient(uri, timeout)
+    """Call one method of a node on a connection of its own; see `RpcClient.call`."""
+    client = RpcClient(uri, timeout, MAX_NODE_ANSWER)
     with contextlib.closing(client):
         return client.call(method, *params)
 

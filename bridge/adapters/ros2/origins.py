@@ -70,7 +70,7 @@ class Origins:
 def _remember(own: bytes, file: Path) -> frozenset[bytes]:
     """Add our prefix to those kept, and return them all."""
     try:
-        lines = file.read_text().split()
+        lines = file.read_text(errors="replace").split()
     except OSError:
         lines = []
     lines = [*(line for line in lines if line != own.hex()), own.hex()][-_KEPT:]

@@ -6,7 +6,7 @@ import json
 
 from bridge.cli.errors import CliError
 from bridge.messages.errors import ConversionError
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 
 def _pub() -> Subject:
@@ -47,7 +47,7 @@ def _status() -> Subject:
         console.print(routes_table(found))
 
     seeds = [json.dumps([{"daemon": "robot", "side": "ros1", "routes": [route, route]}]).encode()]
-    words = texts("null", "[]", "{}", "-1", "1e999", '"\\u001b[2J"', '"[red]"', "true", '"routes":', '"drops":', '"error":')
+    words = [*JSON_WORDS, *texts('"\\u001b[2J"', '"[red]"', '"routes":', '"drops":', '"error":')]
     return Subject(parse, seeds, (), words, largest=2048)
 
 

@@ -7,9 +7,9 @@ import tempfile
 from pathlib import Path
 
 from bridge.daemon.protocol import ProtocolError
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
-_WORDS = texts('"config":', '"stop":', "true", "null", "{}", "[]", '"beat":', '"state":', '"log":', "1e999", '"\\ud800"', "NaN", "[3,")
+_WORDS = [*JSON_WORDS, *texts('"config":', '"stop":', '"beat":', '"state":', '"log":', "[3,")]
 
 
 def _command() -> Subject:
@@ -64,7 +64,7 @@ def _lock() -> Subject:
         assert holder is None or isinstance(holder.pid, int)
 
     seeds = [json.dumps({"pid": 7, "machine": "robot", "owner": "daemon"}).encode(), b""]
-    return Subject(parse, seeds, (), texts('"pid":', "1e999", "null", "NaN", "9" * 5000, "[]", '"owner":'))
+    return Subject(parse, seeds, (), [*JSON_WORDS, *texts('"pid":', '"owner":')])
 
 
 def _log() -> Subject:

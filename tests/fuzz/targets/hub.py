@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from bridge.hub.errors import HubError, WireError
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 _NODE = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
 _ENDPOINT = (
@@ -136,7 +136,7 @@ def _question() -> Subject:
         assert isinstance(_params(SimpleNamespace(payload=_Sized(data))), dict)  # type: ignore[arg-type]
 
     seeds = texts('{"topic": "/a", "seconds": 3.5}', '{"value": {"routes": []}}', '{"error": "no"}', "{}")
-    return Subject(parse, seeds, (HubError,), texts('"value":', '"error":', "null", "[]", "{}", "NaN", '"\\ud800"'))
+    return Subject(parse, seeds, (HubError,), [*JSON_WORDS, *texts('"value":', '"error":')])
 
 
 class _Sized:

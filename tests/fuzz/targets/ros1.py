@@ -9,13 +9,14 @@ import math
 import socket
 import struct
 import tempfile
-import time
 import xmlrpc.client
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ProtocolError, Ros1Error
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 _FIELDS = {
     "callerid": "/talker", "topic": "/chatter", "type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1",
@@ -38,16 +39,16 @@ def _header() -> Subject:
     return Subject(parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (ProtocolError,), _HEADER_WORDS)
 
 
-def _wire(data: bytes) -> Any:
-    """A connection on which a peer has said these bytes and hung up."""
-    from bridge.adapters.ros1.deadline import DeadlineSocket
-
+@contextlib.contextmanager
+def _wire(data: bytes) -> Iterator[DeadlineSocket]:
+    """A connection on which a peer has said these bytes and says no more."""
     ours, theirs = socket.socketpair()
     with theirs:
         theirs.sendall(data)
-    sock = DeadlineSocket(fileno=ours.detach())
-    sock.deadline = math.inf
-    return sock
+        theirs.shutdown(socket.SHUT_WR)
+        with DeadlineSocket(fileno=ours.detach()) as sock:
+            sock.deadline = math.inf
+            yield sock
 
 
 def _greeting() -> Subject:
@@ -72,12 +73,12 @@ def _frames() -> Subject:
 
     def parse(data: bytes) -> None:
         messages: list[bytes] = []
-        sock = _wire(data)
-        reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, lambda _trouble: None)  # type: ignore[arg-type]
-        try:
-            reader._read()
-        finally:
-            reader.close()
+        with _wire(data) as sock:
+            reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, lambda _trouble: None)  # type: ignore[arg-type]
+            try:
+                reader._read()
+            finally:
+                reader.close()
         stream = b"".join(struct.pack("<I", len(message)) + message for message in messages)
         assert data.startswith(stream)
 
@@ -184,9 +185,9 @@ def _http() -> Subject:
 
     def parse(data: bytes) -> None:
         client = RpcClient("http://127.0.0.1:1/", 5.0)
-        client._http.sock = _wire(data)
         client._http.connect = _refuse  # type: ignore[method-assign]
-        with contextlib.closing(client):
+        with _wire(data) as sock, contextlib.closing(client):
+            client._http.sock = sock
             client.call("getPid", "/a")
 
     head = b"HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\n"
@@ -251,7 +252,7 @@ def _ledger() -> Subject:
         assert ledger.last is None or isinstance(ledger.last.parameter, str)
 
     seeds = [json.dumps({"owner": "abc", "last": last.as_dict()}).encode(), b'{"owner": "abc", "last": null}']
-    return Subject(parse, seeds, (), texts('"owner":', '"last":', "{}", "[]", "null", '"\\ud800"', "1e999", '"uri": 5'))
+    return Subject(parse, seeds, (), [*JSON_WORDS, *texts('"owner":', '"last":', '"uri": 5')])
 
 
 TARGETS = (
