@@ -131,7 +131,7 @@ def _params(query: zenoh.Query) -> dict[str, Any]:
         raise HubError(msg)
     try:
         params = json.loads(payload.to_bytes())
-    except ValueError:
+    except (ValueError, RecursionError):
         params = None
     if not isinstance(params, dict):
         msg = "a question's parameters are a JSON object"
@@ -153,5 +153,5 @@ def _read(sample: zenoh.Sample) -> Answer:
     try:
         answer = json.loads(sample.payload.to_bytes())
         return Answer(daemon, worker, answer.get("value"), str(answer.get("error", "")))
-    except (ValueError, AttributeError):
+    except (ValueError, AttributeError, RecursionError):
         return Answer(daemon, worker, None, "the answer is not JSON")

@@ -107,9 +107,8 @@ def _encode_time(time_ns: int | None) -> str:
 
 def _decode_time(seconds: int | None, nanoseconds: int | None) -> int | None:
     pair = (_INFINITE[0] if seconds is None else seconds, _INFINITE[1] if nanoseconds is None else nanoseconds)
-    if pair[0] >= _INFINITE[0] or pair == (0, 0):
-        return None
-    return pair[0] * _NS + pair[1]
+    time_ns = pair[0] * _NS + pair[1]
+    return time_ns if 0 < time_ns < _INFINITE[0] * _NS else None
 
 
 def _numbers(field: str, count: int) -> list[int | None]:

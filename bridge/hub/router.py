@@ -223,6 +223,6 @@ def _identify(session: zenoh.Session, endpoint: str, seconds: float) -> RouterIn
             try:
                 known = json.loads(reply.ok.payload.to_bytes())
                 return RouterInfo(endpoint, routers[0], "router", str(known["daemon"]), int(known["pid"]))
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
                 _log.debug("the router at %s tells nothing of use about itself", endpoint)
     return RouterInfo(endpoint, routers[0], "router")

@@ -9,6 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 
+MAX_NAME = 200
+"""Characters of a type's name; longer ones cannot be the names of files that define them."""
+
 _ROS1_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*")
 _ROS2_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(?:msg|srv|action)/[A-Za-z][A-Za-z0-9_]*")
 _LEGAL_PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
@@ -18,12 +21,12 @@ _LEGAL_CONSTANT = re.compile(r"(?!.*__)(?!.*_$)[A-Z][A-Z0-9_]*")
 
 def is_ros1_name(name: str) -> bool:
     """Whether ``name`` is spelled as ROS 1 spells message types."""
-    return _ROS1_NAME.fullmatch(name) is not None
+    return len(name) <= MAX_NAME and _ROS1_NAME.fullmatch(name) is not None
 
 
 def is_ros2_name(name: str) -> bool:
     """Whether ``name`` is spelled as ROS 2 spells message types."""
-    return _ROS2_NAME.fullmatch(name) is not None
+    return len(name) <= MAX_NAME and _ROS2_NAME.fullmatch(name) is not None
 
 
 def ros2_candidates(ros1_name: str) -> list[str]:

@@ -140,7 +140,7 @@ class RpcClient:
             values, _ = xmlrpc.client.loads(answer)
         except xmlrpc.client.Fault as err:
             raise RefusedError(err.faultString) from None
-        except (ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError) as err:
+        except (ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as err:
             msg = f"{self.uri} answers something else than XML-RPC: {err}"
             raise ProtocolError(msg) from None
         return values[0] if values else None
