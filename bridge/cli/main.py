@@ -1,6 +1,6 @@
 """The command ``midspan``: finds the verb, imports its file, runs it, and turns errors into one line.
 
-Exit codes: 0 done, 1 failed, 2 wrong usage, 130 interrupted.
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done in part (`midspan import` alone), 130 interrupted.
 """
 
 from __future__ import annotations

@@ -61,13 +61,18 @@ def key_text(path: KeyPath) -> str:
     return text
 
 
-def read(file: Path) -> Document:
+def read(file: Path, *, repeating: KeyPath | None = None) -> Document:
     """Read a file.
+
+    Args:
+        file: the file.
+        repeating: path of a map whose keys may be given several times, as some programs allow; it becomes a list of
+            maps with one key each.
 
     Raises:
         ConfigError: it cannot be read, is too large or is not the YAML that is allowed here.
     """
-    return parse(file, _text(file))
+    return parse(file, _text(file), repeating=repeating)
 
 
 def _text(file: Path) -> str:
@@ -90,7 +95,7 @@ def _text(file: Path) -> str:
         raise ConfigError([Problem(file, line, column, "", f"is not UTF-8: byte 0x{raw[err.start]:02x}")]) from err
 
 
-def parse(file: Path, text: str) -> Document:
+def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Document:
     """Parse a file's text; see `read`."""
     yaml = YAML(typ="safe", pure=True)
     try:
@@ -104,7 +109,7 @@ def parse(file: Path, text: str) -> Document:
         what = "nested too deeply" if isinstance(err, RecursionError) else str(err).splitlines()[0]
         raise ConfigError([Problem(file, 0, 0, "", f"not valid YAML: {what}")]) from err
     document = Document(file)
-    reader = _Reader(yaml, document)
+    reader = _Reader(yaml, document, repeating)
     if root is not None:
         document.data = reader.value(root, ())
     if reader.problems:
@@ -115,9 +120,10 @@ def parse(file: Path, text: str) -> Document:
 class _Reader:
     """Turns nodes into data, and gathers the problems on the way."""
 
-    def __init__(self, yaml: YAML, document: Document) -> None:
+    def __init__(self, yaml: YAML, document: Document, repeating: KeyPath | None) -> None:
         self._construct = yaml.constructor.construct_object
         self._document = document
+        self._repeating = repeating
         self._count = 0
         self.problems: list[Problem] = []
 
@@ -131,8 +137,10 @@ class _Reader:
             )
             raise ConfigError([problem])
         match node:
+            case MappingNode() if path == self._repeating:
+                return [self._single(pair, (*path, index)) for index, pair in enumerate(node.value)]
             case MappingNode():
-                return {name: self.value(child, (*path, name)) for name, child in self._items(node, path)}
+                return {name: self.value(child, (*path, name)) for name, child in self._items(node.value, path)}
             case SequenceNode():
                 return [self.value(child, (*path, index)) for index, child in enumerate(node.value)]
             case ScalarNode():
@@ -140,9 +148,14 @@ class _Reader:
             case _:
                 raise AssertionError(node)  # ruamel.yaml composes no other kind
 
-    def _items(self, node: MappingNode, path: KeyPath) -> Iterator[tuple[str, Node]]:
+    def _single(self, pair: tuple[Node, Node], path: KeyPath) -> dict[str, Any]:
+        """One key of a map that may have it several times."""
+        self._document.values[path] = Place(pair[0].start_mark.line + 1, pair[0].start_mark.column + 1)
+        return {name: self.value(child, (*path, name)) for name, child in self._items([pair], path)}
+
+    def _items(self, pairs: list[tuple[Node, Node]], path: KeyPath) -> Iterator[tuple[str, Node]]:
         seen: dict[str, int] = {}
-        for key, child in node.value:
+        for key, child in pairs:
             line, column = key.start_mark.line + 1, key.start_mark.column + 1
             if not isinstance(key, ScalarNode) or key.tag == f"{_TAG}merge":
                 what = "merge keys (<<) are not supported" if isinstance(key, ScalarNode) else "a key must be text"

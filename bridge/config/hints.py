@@ -108,6 +108,8 @@ def _text(error: Mapping[str, Any]) -> str:
             return _choice(value, error["ctx"]["expected"])
         case "value_error":
             return message.removeprefix("Value error, ")
+        case "missing":
+            return f"has no '{error['loc'][-1]}'"
         case "model_type" | "model_attributes_type":
             return f"must be a section with keys, not {_shown(value)}"
         case "string_pattern_mismatch":
