@@ -6,6 +6,7 @@ signal or starved) while messages piled up in its sockets, seen from a pulse tha
 
 from __future__ import annotations
 
+import math
 import time
 
 
@@ -30,27 +31,50 @@ class Pulse:
         return now < self._until or now - self._last > max(timeout, 0.3)
 
 
+STEP_NS = 100_000_000
+"""A time stamp that lies farther behind its predecessor is a clock that was set back, and not a message overtaken."""
+
+HOLD = 0.5
+"""Seconds after such a step in which the quickest message is looked for anew, and none counts as fresh."""
+
+
+def _now_ns() -> int:
+    """A clock that nobody sets, and that goes on while the machine is suspended where the system has one."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
+
+
 class AgeGate:
     """Age of messages of one source by their time stamps, whatever the offset between the two clocks.
 
     The least difference between arrival and time stamp that was ever seen stands for the offset plus the shortest way;
     what exceeds it is time spent waiting. The least difference is forgotten slowly, so that drifting clocks do not
-    make everything look old.
+    make everything look old. Arrival is taken from a clock that nobody sets; where the source's own is set back, the
+    least difference is looked for anew.
     """
 
-    __slots__ = ("_least", "_seen")
+    __slots__ = ("_held_until", "_least", "_newest", "_seen")
 
     def __init__(self) -> None:
         self._least: int | None = None
-        self._seen = 0.0
+        self._newest = 0
+        self._seen = self._held_until = 0.0
 
     def age(self, source_time_ns: int) -> float:
-        """Seconds that this message waited on its way, beyond the quickest one of its source."""
-        difference = time.time_ns() - source_time_ns
-        now = time.monotonic()
+        """Seconds that this message waited on its way, beyond the quickest one of its source.
+
+        Infinite where a newer one came before it, and for a moment after the source's clock was set back.
+        """
+        arrival = _now_ns()
+        difference, now = arrival - source_time_ns, arrival / 1e9
+        newest, self._newest = self._newest, source_time_ns
         if self._least is None or difference < self._least:
             self._least = difference
+        elif newest - source_time_ns > STEP_NS:
+            self._least, self._held_until = difference, now + HOLD
+        elif source_time_ns < newest:
+            self._newest = newest
+            return math.inf
         else:
             self._least += int(min(now - self._seen, 10.0) * 1e5)  # 100 ppm
         self._seen = now
-        return (difference - self._least) / 1e9
+        return math.inf if now < self._held_until else (difference - self._least) / 1e9

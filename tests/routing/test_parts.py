@@ -40,6 +40,7 @@ class Clock:
         self.now = 1000.0
         monkeypatch.setattr(time, "monotonic", lambda: self.now)
         monkeypatch.setattr(time, "time_ns", lambda: int(self.now * 1e9))
+        monkeypatch.setattr(time, "clock_gettime_ns", lambda _clock: int(self.now * 1e9))
 
 
 @pytest.mark.parametrize(("source_hz", "limit", "passed"), [(100, 10, 100), (10, 10, 100), (5, 10, 50), (30, 20, 200)])
@@ -82,6 +83,48 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
         assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
     clock.now += 2.0
     assert gate.age(int((clock.now + offset - 2.0) * 1e9)) == pytest.approx(2.0, abs=0.01)
+
+
+def ages(clock: Clock, gate: age.AgeGate, offset: float, count: int = 20) -> list[float]:
+    """Ages of messages at 20 Hz that come at once from a source whose clock differs so much."""
+    found = []
+    for _ in range(count):
+        clock.now += 0.05
+        found.append(gate.age(int((clock.now + offset) * 1e9)))
+    return found
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1.0, 3600.0])
+def test_a_source_whose_clock_is_set_is_heard_again(monkeypatch: pytest.MonkeyPatch, jump: float) -> None:
+    clock, gate = Clock(monkeypatch), age.AgeGate()
+    ages(clock, gate, 0.0)
+    after = ages(clock, gate, jump)
+    held = [a for a in after if a > 0.1]
+    assert len(held) <= age.HOLD / 0.05 + 1
+    assert after[-1] < 0.01
+    assert gate.age(int((clock.now + jump - 2.0) * 1e9)) > 1.9, "what is old is old on the new scale too"
+
+
+def test_setting_this_machines_clock_makes_nothing_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), age.AgeGate()
+    ages(clock, gate, 0.0)
+    monkeypatch.setattr(time, "time_ns", lambda: int((clock.now + 3600) * 1e9))
+    assert max(ages(clock, gate, 0.0)) < 0.01
+
+
+def test_what_piled_up_before_a_clock_was_set_back_stays_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), age.AgeGate()
+    ages(clock, gate, 0.0)
+    clock.now += 3.0
+    backlog = [gate.age(int((clock.now - 3600.0 - 3.0 + n * 0.05) * 1e9)) for n in range(60)]
+    assert min(backlog) > age.HOLD
+
+
+def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), age.AgeGate()
+    ages(clock, gate, 0.0)
+    assert gate.age(int((clock.now - 0.02) * 1e9)) > 1.0
+    assert max(ages(clock, gate, 0.0)) < 0.01
 
 
 def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
