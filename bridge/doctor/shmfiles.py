@@ -8,13 +8,14 @@ Fast DDS 2.14 makes segments ``fastrtps_<16 hex>`` and ports ``fastrtps_port<n>`
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+from bridge.adapters.ros2.shm import is_held
 
 _SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
 _PORT = re.compile(r"fastrtps_port\d+")
@@ -96,14 +97,6 @@ def _is_held(lock: Path, locks: set[_Lock]) -> bool | None:
         return True
     # in a container the list does not have the locks of other containers: try it
     try:
-        descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        return is_held(lock)
     except OSError:
         return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    else:
-        return False
-    finally:
-        os.close(descriptor)

@@ -39,7 +39,7 @@ def other_users(folder: Path = FOLDER) -> bool:
     mine = os.getuid()
     for lock in _locks(folder):
         with contextlib.suppress(OSError):
-            if lock.stat().st_uid != mine and _is_held(lock):
+            if lock.stat().st_uid != mine and is_held(lock):
                 return True
     return False
 
@@ -55,7 +55,7 @@ def clean(folder: Path = FOLDER) -> int:
         name = lock.name.removesuffix("_el")
         with contextlib.suppress(OSError):
             old = time.time() - lock.stat().st_mtime > _YOUNG_SECONDS
-            if old and "port" not in name and not _is_held(lock):
+            if old and "port" not in name and not is_held(lock):
                 (folder / name).unlink(missing_ok=True)
                 lock.unlink(missing_ok=True)
                 removed += 1
@@ -69,7 +69,7 @@ def _locks(folder: Path) -> list[Path]:
         return []
 
 
-def _is_held(lock: Path) -> bool:
+def is_held(lock: Path) -> bool:
     """Whether a living process holds the lock; raises `OSError` where that cannot be found out."""
     descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     try:
