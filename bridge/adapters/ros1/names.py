@@ -22,7 +22,7 @@ MAX_LENGTH = 247
 """rmw's RMW_TOPIC_MAX_NAME_LENGTH."""
 
 MAX_NAMES = 20000
-"""Names that a `NameTable` keeps before it forgets those that left the graph."""
+"""Illegal names that a `NameTable` keeps before it forgets those that left the graph."""
 
 _LEGAL = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_]")
@@ -44,26 +44,35 @@ class NameTable:
     """The way back: which ROS 1 name a hub name stands for, from the names that the ROS 1 graph has had.
 
     Where a name of the graph is spelled as the hub name itself, it wins; else the first in alphabetical order. Names
-    are kept when they leave the graph, so that a topic keeps its name when a subscriber of it is restarted.
+    that are not legal on the hub are kept when they leave the graph, so that a topic keeps its name when a subscriber
+    of it is restarted.
     """
 
     def __init__(self) -> None:
-        self._names: set[str] = set()
+        self._here: frozenset[str] = frozenset()
+        self._changed: dict[str, str] = {}
+        self._own: set[str] = set()
         self._back: Mapping[str, str] = {}
 
     def learn(self, side_names: Iterable[str]) -> None:
         """Take up the names that are on the graph now."""
-        names = set(side_names)
-        if names <= self._names:
-            return
-        kept = names | self._names
-        self._names = kept if len(kept) <= MAX_NAMES else names
-        back: dict[str, str] = {}
-        for name in sorted(self._names):
-            legal = hub_name(name)
-            if legal != name and legal not in self._names:
-                back.setdefault(legal, name)
-        self._back = back
+        here, before = frozenset(side_names), self._here
+        self._here = here
+        new = here - before
+        changed = {name: legal for name in new if (legal := hub_name(name)) != name}
+        if len(self._changed) + len(changed) > MAX_NAMES:
+            self._changed = {name: hub_name(name) for name in here if hub_name(name) != name}
+            self._own = set()
+        else:
+            self._changed |= changed
+        taken = here.intersection(self._changed.values())
+        if changed or not taken <= self._own:
+            self._own |= taken
+            back: dict[str, str] = {}
+            for name in sorted(self._changed):
+                if self._changed[name] not in self._own:
+                    back.setdefault(self._changed[name], name)
+            self._back = back
 
     def side_name(self, hub_name: str) -> str:
         """The ROS 1 spelling of a hub topic name; the same where no ROS 1 name was changed into it."""

@@ -58,3 +58,22 @@ def test_the_way_back():
     table.learn(["/b_c"])
     assert table.side_name("/b_c") == "/b_c", "a name that is legal itself wins"
     assert table.side_name("/camera/n1/image") == "/camera/1/image", "names are kept when they leave"
+
+
+def test_names_that_come_and_go_leave_nothing_but_the_illegal_ones():
+    table = NameTable()
+    table.learn(["/1/here"])
+    for number in range(100):
+        table.learn([f"/came/and/went_{number}"])
+    kept = [name for part in vars(table).values() for name in part if name.startswith("/came")]
+    assert kept == ["/came/and/went_99"]
+    assert table.side_name("/n1/here") == "/1/here"
+
+
+def test_too_many_illegal_names_are_forgotten(monkeypatch):
+    monkeypatch.setattr("bridge.adapters.ros1.names.MAX_NAMES", 10)
+    table = NameTable()
+    for number in range(100):
+        table.learn([f"/{number}"])
+        assert table.side_name(f"/n{number}") == f"/{number}"
+    assert sum(table.side_name(f"/n{number}") != f"/n{number}" for number in range(100)) <= 10
