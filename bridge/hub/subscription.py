@@ -18,9 +18,15 @@ from bridge.hub.qos import Qos, Reliability
 
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
+_SPARED = 64
+"""Publishers that left the graph, or were never on it, and are remembered nevertheless; the newest."""
 _MAX_GAP = 1_000_000
 _MAX_HELD = 1000
 """Samples of one publisher that are held back at most, beyond its history."""
+
+
+Refused = Callable[[str, str], None]
+"""``refused(reason, why)``: a sample was left out; ``reason`` is ``bad`` or ``large``, ``why`` is for people."""
 
 
 class HubSample:
@@ -95,6 +101,7 @@ class HubSubscription:
         limit: int,
         callback: Callable[[HubSample], None],
         on_close: Callable[[HubSubscription], None],
+        on_refused: Refused | None = None,
     ) -> None:
         self.topic = topic
         self.lost = 0
@@ -106,7 +113,9 @@ class HubSubscription:
         self._recovers = qos.latched and qos.reliability is Reliability.RELIABLE
         self._callback = callback
         self._on_close = on_close
+        self._on_refused = on_refused
         self._sources: dict[bytes, _Source] = {}
+        self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
         # never taken by `close`, whose caller may hold a lock that the callback waits for
         self._lock = Lock()
@@ -221,23 +230,23 @@ class HubSubscription:
             return None
         payload, attached = sample.payload, sample.attachment
         if attached is None:
-            self._refuse("without the attachment that rmw_zenoh puts on each sample")
+            self._refuse("bad", "a sample without the attachment that rmw_zenoh puts on each")
             return None
         if len(payload) > self._limit:
-            self._refuse(f"{len(payload)} bytes, more than {self._limit}")
+            self._refuse("large", f"message of {len(payload)} bytes, the limit is {self._limit}")
             return None
         try:
             sequence, time_ns, gid = attachment.unpack(attached.to_bytes())
         except WireError as err:
-            self._refuse(str(err))
+            self._refuse("bad", str(err))
             return None
         return HubSample(payload, sequence, time_ns, gid, "")
 
     def _source(self, message: HubSample, sample: zenoh.Sample) -> _Source:
         source = self._sources.get(message.gid)
         if source is None:
-            if len(self._sources) >= _MAX_SOURCES:
-                del self._sources[next(iter(self._sources))]
+            if len(self._sources) >= self._room:
+                self._make_room()
             source = self._sources[message.gid] = _Source("")
         if not source.zid:
             info = sample.source_info
@@ -245,7 +254,18 @@ class HubSubscription:
         message.zid = source.zid
         return source
 
-    def _refuse(self, why: str) -> None:
-        level = logging.DEBUG if self.refused else logging.WARNING
+    def _make_room(self) -> None:
+        """Forget publishers that are gone; some participants (zenoh-ros2-sdk) have never been on the graph."""
+        gone = [gid for gid, source in self._sources.items() if not source.held and not self._graph.zid_of(gid)]
+        for gid in gone[:-_SPARED]:
+            del self._sources[gid]
+        while len(self._sources) >= _MAX_SOURCES:
+            del self._sources[next(iter(self._sources))]
+        self._room = min(2 * (len(self._sources) + _SPARED), _MAX_SOURCES)
+
+    def _refuse(self, reason: str, why: str) -> None:
+        level = logging.DEBUG if self.refused or self._on_refused is not None else logging.WARNING
         self.refused += 1
         _log.log(level, "%s: sample left out: %s", self.topic, why)
+        if self._on_refused is not None:
+            self._on_refused(reason, why)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from bridge.hub.qos import Qos
 from bridge.hub.session import Hub
-from tests.hub.parts import STREAM, Heard, matched, see_each_other, talk
+from tests.hub.parts import LATCHED, STREAM, Heard, matched, see_each_other, talk
 from tests.support.hub import ROOT, HubNetwork
 from tests.support.wait import until
 
@@ -81,3 +82,20 @@ def test_a_program_that_forgets_to_close_ends():
     with HubNetwork() as network:
         env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
         subprocess.run([sys.executable, "-c", PROGRAM, network.endpoint], env=env, check=True, timeout=30)
+
+
+@pytest.mark.parametrize("qos", [STREAM, LATCHED])
+def test_publishers_that_come_and_go_leave_nothing_in_a_subscription(qos: Qos):
+    with HubNetwork() as network, Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
+        see_each_other(a, b)
+        heard = Heard(b, "/busy", qos)
+        stays = talk(a, "/busy", qos)
+        matched(stays)
+        for number in range(400):
+            publisher = talk(a, "/busy", qos, str(number))
+            until(lambda n=number: len(heard.samples) > n, "heard")
+            publisher.close()
+        assert len(heard.subscription._sources) < 200
+        stays.put(b"still")
+        until(lambda: heard.texts()[-1] == "still", "the one that stays is heard")
+        assert heard.subscription.lost == 0
