@@ -84,6 +84,9 @@ class EdgeListener(Protocol):
     def presence_changed(self) -> None:
         """Another Midspan worker came to this side's network, left it, or announced something."""
 
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """A message of this topic of the side was not delivered; ``reason`` is ``bad`` or ``large``."""
+
     def edge_failed(self, reason: str) -> None:
         """The edge cannot go on by itself; the worker ends and is started again."""
 

@@ -75,6 +75,7 @@ class BridgeWorker(Worker):
                 namespace="/",
                 daemon=config.name,
                 worker=self.side,
+                max_payload=config.limits.message_bytes,
             )
         )
         self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed)
@@ -89,7 +90,7 @@ class BridgeWorker(Worker):
         old = self._config
         if old is None or self._engine is None:
             return False
-        fixed = ("name", "state", "hub", "types", self.side)
+        fixed = ("name", "state", "hub", "types", "limits", self.side)
         if any(getattr(config, part) != getattr(old, part) for part in fixed):
             return False
         self._config = config

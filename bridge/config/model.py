@@ -263,6 +263,23 @@ class TypesSection(Section):
     mapping_rules: tuple[Path, ...] = Field(default=(), description="ros1_bridge mapping-rule files (YAML).")
 
 
+class LimitsSection(Section):
+    """What is refused for its size."""
+
+    message: int = Field(
+        default=256,
+        ge=1,
+        le=256,
+        description="Megabytes (1,048,576 bytes) of the largest message, on every side and both ways. A larger one is"
+        " refused and counted as `large`; everything else flows on.",
+    )
+
+    @property
+    def message_bytes(self) -> int:
+        """Bytes of the largest message."""
+        return self.message << 20
+
+
 class LogSection(Section):
     """Logging."""
 
@@ -288,4 +305,5 @@ class Config(Section):
     ros2: Ros2Section = Field(default_factory=Ros2Section, description="The ROS 2 (DDS) side.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
     routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
+    limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")
     log: LogSection = Field(default_factory=LogSection, description="Logging.")

@@ -32,7 +32,7 @@ from bridge.hub.origin import Origin
 from bridge.hub.publisher import HubPublisher, PublisherOptions
 from bridge.hub.qos import Qos
 from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
-from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.hub.subscription import HubSample, HubSubscription, Refused
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
@@ -89,12 +89,14 @@ class Hub:
     Attributes:
         zid: the session's id.
         domain: the hub's domain.
+        max_payload: bytes of the largest message that is sent and taken.
         graph: all participants as this session sees them.
     """
 
     def __init__(self, session: zenoh.Session, settings: HubSettings) -> None:
         self.zid = str(session.zid())
         self.domain = settings.domain
+        self.max_payload = settings.max_payload
         self._settings = settings
         self._session = session
         self._lock = RLock()
@@ -112,7 +114,9 @@ class Hub:
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
         """Open a session; raises `HubError` where zenoh cannot."""
-        tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=settings.max_payload)
+        # What is too large for us is to arrive nevertheless: a link would drop it without a word.
+        room = max(settings.max_payload, MAX_PAYLOAD)
+        tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
         config = make_config(tree, settings.zenoh)
         try:
             session = zenoh.open(config)
@@ -166,14 +170,20 @@ class Hub:
             key = topic_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
             options = PublisherOptions(qos, priority, express)
-            limit = self._settings.max_payload
+            limit = self.max_payload
             drop = self._endpoints.discard
             publisher = HubPublisher(self._session, self.graph, token, key, topic, qos, options, limit, drop)
             self._endpoints.add(publisher)
             return publisher
 
     def subscription(
-        self, topic: str, type_name: str, type_hash: str, qos: Qos, callback: Callable[[HubSample], None]
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        callback: Callable[[HubSample], None],
+        refused: Refused | None = None,
     ) -> HubSubscription:
         """Make a subscription; it lives until it or the session is closed.
 
@@ -184,14 +194,17 @@ class Hub:
             qos: a latched one gets what each latched publisher keeps, of publishers present and late.
             callback: runs on zenoh's receiving thread; it appends and wakes, nothing more. Samples of this very
                 session are not delivered.
+            refused: hears of each sample that is left out, on the same thread.
         """
         with self._lock:
             self._check_open()
             key = subscription_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.SUBSCRIPTION, topic, type_name, type_hash, qos)
-            limit = self._settings.max_payload
+            limit = self.max_payload
             drop = self._endpoints.discard
-            subscription = HubSubscription(self._session, self.graph, token, key, topic, qos, limit, callback, drop)
+            subscription = HubSubscription(
+                self._session, self.graph, token, key, topic, qos, limit, callback, drop, refused
+            )
             self._endpoints.add(subscription)
             return subscription
 

@@ -6,8 +6,9 @@ import time
 from collections import deque
 from typing import Any
 
-DROPS = ("queue", "rate", "stale", "bad", "lost", "slow", "unknown")
-"""Reasons of a drop: queue full, rate limit, command too old, message refused, lost inside zenoh or DDS, missed by a
+DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown")
+"""Reasons of a drop: queue full, rate limit, command too old, message refused, message
+larger than the limit, lost inside zenoh or DDS, missed by a
 slow subscriber of the side, source unknown."""
 
 _LATENCIES = 512

@@ -109,6 +109,12 @@ class Engine:
     def presence_changed(self) -> None:
         """Another Midspan worker came, went or announced something. Only wakes; may be called from any thread."""
 
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """Count a message that the edge took off the wire and refused."""
+        for route in self._inward.routes():
+            if route.side_topic == topic:
+                route.bad(why, reason)
+
     def edge_failed(self, reason: str) -> None:
         """The edge cannot go on: tell the worker."""
         self._on_failure(reason)

@@ -172,9 +172,14 @@ class InRoute(Route):
         if self._limit is not None and not known.latched and not self._limit.passes():
             counters.dropped("rate")
             return
+        limit = self._joint.hub.max_payload
+        if self.too_large(len(payload), limit):
+            return
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
+            if self.too_large(len(data), limit):
+                return
             if self._static is not None and known.latched:
                 with self._static_lock:
                     known.publisher.put(self._static.merge(data), time_ns)

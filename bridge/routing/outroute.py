@@ -133,8 +133,12 @@ class OutRoute(Route):
         self._since_ns = time.time_ns()
         source = self.conversion.source
         self._subscription = self._joint.hub.subscription(
-            self.hub_topic, source.name, self.key.type_id, qos, self._received
+            self.hub_topic, source.name, self.key.type_id, qos, self._received, self._refused_by_hub
         )
+
+    def _refused_by_hub(self, reason: str, why: str) -> None:
+        """A sample without a fitting attachment, or too large; runs on zenoh's receiving thread."""
+        self.bad(why, reason)
 
     def _received(self, sample: HubSample) -> None:
         """Append and wake; runs on zenoh's receiving thread."""
@@ -207,6 +211,8 @@ class OutRoute(Route):
                 data, name = self._static.merge(data), _STATIC
             if self.conversion.convert is not None:
                 data = self.conversion.convert(data)
+            if self.too_large(len(data), self._joint.hub.max_payload):
+                return
             publisher.send(data, name)
         except (MessageError, ValueError) as err:
             self.bad(str(err))

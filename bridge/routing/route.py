@@ -82,9 +82,15 @@ class Route:
         """Give back everything on both networks."""
         raise NotImplementedError
 
-    def bad(self, error: str) -> None:
-        """Count a refused message and log at a limited rate."""
-        self.counters.dropped("bad")
+    def too_large(self, size: int, limit: int) -> bool:
+        """Whether a message of ``size`` bytes is refused for it."""
+        if size > limit:
+            self.bad(f"message of {size} bytes, limits.message allows {limit}", "large")
+        return size > limit
+
+    def bad(self, error: str, reason: str = "bad") -> None:
+        """Count a refused message and log at a limited rate. May be called from any thread."""
+        self.counters.dropped(reason)
         if self.counters.failed(error):
             _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
 

@@ -250,12 +250,17 @@ class Ros1Edge(Edge):
         subscription = Subscription(
             topic, side_type.type_id, deliver,
             lanes=self._lanes, caller=self._caller, doubt=self._prober.doubt, learned=self._prober.learned,
+            refused=lambda reason, why: self._refuse(topic, reason, why), limit=self._config.limits.message_bytes,
         )  # fmt: skip
         opened = _Open(self, subscription)
         with self._lock:
             self._subscriptions.add(opened)
         self._follow_subscriptions()
         return opened
+
+    def _refuse(self, topic: str, reason: str, why: str) -> None:
+        if self._listener is not None:
+            self._listener.message_refused(topic, reason, why)
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a topic; latched QoS keeps the last ``depth`` messages of each source for late joiners."""

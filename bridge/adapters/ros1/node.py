@@ -23,7 +23,7 @@ import rospy.impl.init
 import rospy.impl.registration as registration
 import rospy.impl.tcpros
 import rospy.impl.tcpros_base
-from rosgraph.xmlrpc import XmlRpcNode
+from rosgraph.xmlrpc import SilenceableXMLRPCRequestHandler, XmlRpcNode
 from rospy.impl.masterslave import ROSHandler
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
@@ -38,7 +38,23 @@ _BACKLOG = 128
 _ACCEPT_PAUSE = 0.5
 _MAX_TURNED_AWAY = 1000
 
+_MAX_REQUEST = 2**20
+"""Bytes of the longest request that is read; a master's list of a topic's publishers is a few kilobytes."""
+
 Changed = Callable[[], None]
+
+
+class _Requests(SilenceableXMLRPCRequestHandler):  # type: ignore[misc]  # rosgraph has no types
+    """rosgraph's reader of requests, which takes a body of any length into memory."""
+
+    def do_POST(self) -> None:  # noqa: N802 - the name is http.server's
+        """Read a request, unless it is too long."""
+        length = self.headers.get("Content-Length", "")
+        if length.isascii() and length.isdigit() and int(length[:20]) <= _MAX_REQUEST:
+            super().do_POST()
+        else:
+            self.close_connection = True
+            self.send_error(413, f"a request has a length of at most {_MAX_REQUEST} bytes")
 
 
 class _Handler(ROSHandler):  # type: ignore[misc]  # rospy has no types
@@ -116,6 +132,7 @@ class Node:
         self._server = XmlRpcNode(0, _Handler(name, master_uri, _Notes(changed), asked_to_stop))
         self._server.start()
         self.uri = self._await_uri()
+        self._server.server.RequestHandlerClass = _Requests
         rospy.core.set_node_uri(self.uri)
         rospy.rostime.set_rostime_initialized(True)
         rospy.core.set_initialized(True)

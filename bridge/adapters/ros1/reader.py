@@ -16,15 +16,21 @@ from bridge.adapters.ros1.errors import ProtocolError
 _log = logging.getLogger(__name__)
 
 MAX_MESSAGE = 512 * 2**20
-"""Bytes of the longest message that is read; a publisher that claims a longer one is dropped."""
+"""A publisher that announces a message of more bytes is taken for a liar, and its connection is closed."""
 
 _LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 _LARGE = 32 * 1024
+_TRUSTED = 16 * 2**20
+"""Bytes for which room is made because they are announced; for more, only once so many have come."""
+
 _KEEPALIVE = (("TCP_KEEPIDLE", 60), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 9))
 """As rospy's and roscpp's subscribers set it: a peer whose machine is gone is noticed after two and a half minutes."""
 
 _numbers = itertools.count(1)
+
+Refused = Callable[[str, str], None]
+"""``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
 
 
 class Reader:
@@ -37,7 +43,14 @@ class Reader:
     transport_type = "TCPROS"
 
     def __init__(
-        self, sock: DeadlineSocket, topic: str, uri: str, deliver: Callable[[bytes], None], ended: Callable[[str], None]
+        self,
+        sock: DeadlineSocket,
+        topic: str,
+        uri: str,
+        deliver: Callable[[bytes], None],
+        ended: Callable[[str], None],
+        refused: Refused,
+        limit: int = MAX_MESSAGE,
     ) -> None:
         self.id = f"midspan-{next(_numbers)}"
         self.endpoint_id = uri
@@ -52,7 +65,7 @@ class Reader:
         for name, value in _KEEPALIVE:
             if hasattr(socket, name):
                 self._sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-        self._deliver, self._ended = deliver, ended
+        self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
@@ -81,8 +94,11 @@ class Reader:
         trouble = "the publisher closed the connection"
         try:
             self._read()
-        except (OSError, ProtocolError) as err:
+        except OSError as err:
             trouble = str(err)
+        except ProtocolError as err:
+            trouble = str(err)
+            self._refused("bad", trouble)
         except Exception as err:
             trouble = f"{type(err).__name__}: {err}"
             _log.exception("reading %s failed", self._thread.name)
@@ -107,6 +123,13 @@ class Reader:
                 msg = f"the publisher announces a message of {size} bytes, at most {MAX_MESSAGE} are read"
                 raise ProtocolError(msg)
             at += 4
+            if size > self._limit:
+                self._refused("large", f"message of {size} bytes, limits.message allows {self._limit}")
+                here = min(left - 4, size)
+                at += here
+                if not self._skip(size - here):
+                    return
+                continue
             if left - 4 >= size:
                 payload = buffer[at : at + size]
                 at += size
@@ -121,8 +144,18 @@ class Reader:
             if not self.done:
                 self._deliver(payload)
 
+    def _skip(self, count: int) -> bool:
+        """Read so many bytes and forget them; False where the connection ends before."""
+        scratch = bytearray(min(count, _CHUNK))
+        while count:
+            came = self._sock.recv_into(scratch, min(count, _CHUNK))
+            if not came:
+                return False
+            count -= came
+        return True
+
     def _exactly(self, count: int) -> bytes | None:
-        data = self._sock.recv(count, socket.MSG_WAITALL)
+        data = self._sock.recv(min(count, _TRUSTED), socket.MSG_WAITALL)
         if len(data) == count:
             return data
         parts = [data]

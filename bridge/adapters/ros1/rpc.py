@@ -26,6 +26,11 @@ MAX_NODE_ANSWER = 2**16
 
 _PIECE = 64 * 1024
 
+_NO_XMLRPC = (
+    ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError,
+)  # fmt: skip
+"""What Python's reader of XML-RPC raises for what is none."""
+
 Call = tuple[str, tuple[Any, ...]]
 
 
@@ -140,7 +145,7 @@ class RpcClient:
             values, _ = xmlrpc.client.loads(answer)
         except xmlrpc.client.Fault as err:
             raise RefusedError(err.faultString) from None
-        except (ExpatError, xmlrpc.client.Error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as err:
+        except _NO_XMLRPC as err:
             msg = f"{self.uri} answers something else than XML-RPC: {err}"
             raise ProtocolError(msg) from None
         return values[0] if values else None

@@ -24,7 +24,7 @@ from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import connect
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.probe import HANDSHAKE_SECONDS, Facts
-from bridge.adapters.ros1.reader import Reader
+from bridge.adapters.ros1.reader import Reader, Refused
 
 _log = logging.getLogger(__name__)
 
@@ -89,9 +89,11 @@ class Subscription:
         caller: Callable[[], str],
         doubt: Callable[[Link, str], None],
         learned: Callable[[Link, Facts], None],
+        refused: Refused,
+        limit: int,
     ) -> None:
         self.topic = topic
-        self._md5, self._deliver = md5, deliver
+        self._md5, self._deliver, self._refused, self._limit = md5, deliver, refused, limit
         self._lanes, self._caller, self._doubt, self._learned = lanes, caller, doubt, learned
         self._lock = threading.Lock()
         self._sources: dict[Link, _Source] = {}
@@ -144,6 +146,7 @@ class Subscription:
             sock, self.topic, link.uri,
             lambda payload: self._deliver(payload, endpoint, None),
             lambda trouble: self._ended(link, source, trouble),
+            self._refused, self._limit,
         )  # fmt: skip
         with self._lock:
             wanted = self._sources.get(link) is source

@@ -121,9 +121,9 @@ class Ros2Edge(Edge):
         return self._graph.snapshot.endpoints if self._graph is not None else ()
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
-        """The bytes are the same; the type's hash must be the one we know, where the endpoint tells it."""
+        """The bytes are the same once they are checked: DDS carries whatever a program says."""
         known = self._known(endpoint.type, endpoint.type_id)
-        return Conversion(known, known, None)
+        return Conversion(known, known, self._registry.hub_check(endpoint.type))
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """The bytes are the same once they are checked: DDS delivers junk nowhere, and says nothing."""
@@ -157,7 +157,6 @@ class Ros2Edge(Edge):
             participant=self._participant,
             loop=self._loop,
             graph=self._graph,
-            check=lambda payload: self._registry.hub_check(side_type.name)(payload),
             closed=self._subscription_closed,
         )
         with self._lock:

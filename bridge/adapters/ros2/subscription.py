@@ -29,7 +29,6 @@ LATCHED_DEPTH = 128
 VOLATILE_DEPTH = 32
 """Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
 
-_LITTLE_ENDIAN_CDR = b"\x00\x01"
 _LOG_SECONDS = 10.0
 
 _log = logging.getLogger(__name__)
@@ -60,10 +59,9 @@ class Ros2Subscription:
         participant: Participant,
         loop: Loop,
         graph: Graph,
-        check: Callable[[bytes], bytes],
         closed: Callable[[Ros2Subscription], None],
     ) -> None:
-        self.topic, self.qos, self.deliver, self.check = topic, qos, deliver, check
+        self.topic, self.qos, self.deliver = topic, qos, deliver
         self._message_class = message_class
         self.type_name = str(message_class.type_name)
         self._participant, self._loop, self._graph = participant, loop, graph
@@ -198,8 +196,6 @@ class ClassReader(Reader):
                 continue
             self._count(source, sequence)
             try:
-                if not payload.startswith(_LITTLE_ENDIAN_CDR):
-                    payload = owner.check(payload)
                 owner.deliver(payload, source, source_ns)
             except Exception:
                 owner.failed(source)

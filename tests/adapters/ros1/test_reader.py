@@ -3,6 +3,8 @@
 import contextlib
 import socket
 import struct
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -21,10 +23,14 @@ class Connection:
             ours = socket.create_connection(listener.getsockname())
             self.publisher, _ = listener.accept()
         self.messages: list[bytes] = []
+        self.refusals: list[tuple[str, str]] = []
         self.trouble = ""
         self.over = threading.Event()
-        self.reader = Reader(DeadlineSocket(fileno=ours.detach()), "/t", "http://x/", self.messages.append, self.ended)
+        self.reader = Reader(DeadlineSocket(fileno=ours.detach()), "/t", "http://x/", self.messages.append, self.ended, self.refused)
         self.reader.start()
+
+    def refused(self, reason: str, why: str) -> None:
+        self.refusals.append((reason, why))
 
     def ended(self, trouble: str) -> None:
         self.trouble = trouble
@@ -90,6 +96,36 @@ def test_a_message_that_is_too_long_ends_the_connection(connection, monkeypatch)
     assert connection.over.wait(10)
     assert connection.messages == [b"a" * 1000]
     assert "1001 bytes" in connection.trouble
+    assert connection.refusals == [("bad", connection.trouble)]
+
+
+@pytest.mark.parametrize("size", [1001, 70_000, 3_000_000])
+def test_a_message_over_the_limit_is_passed_over(connection, size):
+    connection.reader._limit = 1000
+    connection.publisher.sendall(frame(b"before") + frame(b"x" * size) + frame(b"a" * 1000) * 2)
+    assert connection.finish() == [b"before", b"a" * 1000, b"a" * 1000]
+    assert connection.refusals == [("large", f"message of {size} bytes, limits.message allows 1000")]
+
+
+def test_an_announced_length_alone_takes_no_memory():
+    """The publisher says that 500 MB come, and then nothing."""
+    code = (
+        "import resource, socket, struct\n"
+        "from bridge.adapters.ros1.deadline import DeadlineSocket\n"
+        "from bridge.adapters.ros1.reader import Reader\n"
+        "with socket.create_server(('127.0.0.1', 0)) as listener:\n"
+        "    ours = socket.create_connection(listener.getsockname())\n"
+        "    publisher, _ = listener.accept()\n"
+        "reader = Reader(DeadlineSocket(fileno=ours.detach()), '/t', 'http://x/', print, print, print)\n"
+        "pages = int(open('/proc/self/statm').read().split()[0])\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (pages * 4096 + (64 << 20), resource.RLIM_INFINITY))\n"
+        "publisher.sendall(struct.pack('<I', 500 << 20) + b'x')\n"
+        "publisher.close()\n"
+        "reader._read()\n"
+        "print('read')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert done.stdout == "read\n", done.stderr
 
 
 def test_nothing_is_told_after_close(connection):

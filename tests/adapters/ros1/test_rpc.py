@@ -80,12 +80,32 @@ def test_servers_that_misbehave(serve, error):
 
 
 def test_long_answers_are_refused(monkeypatch):
-    monkeypatch.setattr(rpc, "MAX_ANSWER", 1000)
+    monkeypatch.setattr(rpc, "MAX_NODE_ANSWER", 1000)
     with node(big=lambda _caller: [1, "", "x" * 2000]) as uri, pytest.raises(ProtocolError, match="longer than"):
         rpc.ask(uri, 2.0, "big", "/me")
 
 
-@pytest.mark.parametrize("uri", ["", "rosrpc://a:1", "http://", "http://a:b/", "ftp://a/"])
+@pytest.mark.parametrize("length", [5, 95_000_000, 2**64])
+def test_answers_that_are_shorter_than_they_claim_are_refused(length):
+    def serve(sock):
+        sock.recv(65536)
+        sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n<a>" % length)
+
+    with tcp_server(serve) as (host, port), pytest.raises(ProtocolError, match="does not answer"):
+        rpc.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+
+
+@pytest.mark.parametrize("body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe"])
+def test_answers_that_are_no_xmlrpc_are_refused(body):
+    def serve(sock):
+        sock.recv(65536)
+        sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
+
+    with tcp_server(serve) as (host, port), pytest.raises(ProtocolError, match="something else than XML-RPC"):
+        rpc.ask(f"http://{host}:{port}/", 2.0, "getPid", "/me")
+
+
+@pytest.mark.parametrize("uri", ["", "rosrpc://a:1", "http://", "http://a:b/", "ftp://a/", "p://[", "http://a\0b:1/"])
 def test_addresses_that_are_none(uri):
     with pytest.raises(ProtocolError, match="not a ROS 1 address"):
         rpc.RpcClient(uri, 1.0)

@@ -59,6 +59,9 @@ class RunningEdge:
     def graph_changed(self) -> None:
         self.changes += 1
 
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """Not asked for."""
+
     def edge_failed(self, reason: str) -> None:
         self.failures.append(reason)
 

@@ -34,6 +34,9 @@ class Program:
     def graph_changed(self) -> None:
         """The commands look for themselves."""
 
+    def message_refused(self, topic: str, reason: str, why: str) -> None:
+        """Not asked for."""
+
     def edge_failed(self, reason: str) -> None:
         self.failed.append(reason)
 

@@ -74,7 +74,7 @@ def _frames() -> Subject:
     def parse(data: bytes) -> None:
         messages: list[bytes] = []
         with _wire(data) as sock:
-            reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, lambda _trouble: None)  # type: ignore[arg-type]
+            reader = module.Reader(_Addressed(sock), "/t", "http://x/", messages.append, print, print)  # type: ignore[arg-type]
             try:
                 reader._read()
             finally:
