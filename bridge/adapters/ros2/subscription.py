@@ -29,6 +29,9 @@ LATCHED_DEPTH = 128
 VOLATILE_DEPTH = 32
 """Least depth of the other readers: room for what comes while the loop is kept from its turn for some milliseconds."""
 
+_SEQUENCES = 32
+"""Publishers of one reader whose messages' numbers are remembered before it is looked which are still there."""
+
 _LOG_SECONDS = 10.0
 
 _log = logging.getLogger(__name__)
@@ -130,6 +133,10 @@ class Ros2Subscription:
             return None
         return source.id
 
+    def sources(self) -> set[str]:
+        """Ids of the publishers that are there now."""
+        return {source.id for source in self._sources.values()}
+
     def _resolve(self, gid: bytes, reader_class: Class) -> _Source | None:
         if is_marked(gid):
             return None
@@ -171,6 +178,7 @@ class ClassReader(Reader):
         self.topic = owner.topic
         self._large = False
         self._sequences: dict[str, int] = {}
+        self._room = _SEQUENCES
 
     @property
     def handle(self) -> Any:
@@ -203,6 +211,9 @@ class ClassReader(Reader):
 
     def _count(self, source: str, sequence: int) -> None:
         """Count what is missing between two messages of a publisher: overwritten in a full history, or never here."""
+        if source not in self._sequences and len(self._sequences) >= self._room:
+            self._sequences = {s: self._sequences[s] for s in self._sequences.keys() & self._owner.sources()}
+            self._room = 2 * len(self._sequences) + _SEQUENCES
         last = self._sequences.get(source, sequence)
         self._owner.lost += max(sequence - last - 1, 0)
         self._sequences[source] = max(sequence, last)
