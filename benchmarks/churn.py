@@ -1,0 +1,176 @@
+"""Endpoints made and destroyed by the thousand on each side: what the daemon keeps of them, which should be nothing.
+
+A real rospy, rclpy and zenoh program each make and destroy publishers and subscriptions, in batches of a hundred, of
+which each is seen to cross before it goes, with a last message on its way. The slope of each process's memory over the
+endpoints is printed, and how many threads, descriptors, routes, hub tokens and registrations on the ROS 1 master are
+left at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.endurance.deployment import SIDES, Census, Deployment
+from benchmarks.endurance.slope import slope
+from benchmarks.rows import Row, add_json_option, report
+
+KINDS = ("string", "twist", "scan", "tf", "grid", "image1")
+LATCHED_KINDS = ("string", "scan", "grid")
+FRESH, KEPT = 50, 10
+"""Publishers of a batch: on topics of names that never come again, and on the same ones in each batch."""
+FED, STREAMED = 30, 10
+"""Subscriptions of a batch: to latched topics of the other sides, and to their streams."""
+BATCH = FRESH + KEPT + FED + STREAMED
+WARM = 3
+"""Batches before what the processes hold counts."""
+SETTLE_SECONDS, IDLE_SECONDS = 40.0, 12.0
+FEEDER = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros1"}
+"""The side from which each side's subscriptions hear."""
+
+
+@dataclass(slots=True)
+class Churned:
+    """One side's result.
+
+    Attributes:
+        endpoints: how many were made and destroyed, without the first ones.
+        before: the daemon after the first batches.
+        after: the daemon at the end.
+        slopes: bytes of memory for each endpoint, by process.
+        seconds: how long it took.
+    """
+
+    side: str
+    endpoints: int
+    before: Census
+    after: Census
+    slopes: dict[str, float]
+    seconds: float
+    memory: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+
+
+class Churn:
+    """Makes and destroys endpoints of one side, while its feeder goes on sending."""
+
+    def __init__(self, deployment: Deployment, side: str) -> None:
+        self._deployment, self._side = deployment, side
+        self._numbers = itertools.count()
+        feeder, prefix = FEEDER[side], f"/feed_{side}"
+        fed = [(f"{prefix}/l{i}", LATCHED_KINDS[i % len(LATCHED_KINDS)], True) for i in range(FED)]
+        streams = [(f"{prefix}/s{i}", "string", False) for i in range(STREAMED)]
+        make = [deployment.topic(feeder, name, kind, latched=latched) for name, kind, latched in fed + streams]
+        deployment.ask(feeder, "publish", topics=make)
+        deployment.ask(feeder, "put", topics=[name for name, _, _ in fed])
+        deployment.ask(feeder, "flow", rates={name: 5.0 for name, _, _ in streams})
+        self._feeds = [deployment.topic(side, name, kind, latched=latched) for name, kind, latched in fed + streams]
+
+    def run(self, endpoints: int, warm: int = WARM) -> Churned:
+        """Make and destroy so many endpoints, after some first batches that do not count."""
+        deployment = self._deployment
+        for _ in range(warm):
+            self.batch()
+        before, began = self.settled(), time.monotonic()
+        memory: dict[str, list[tuple[int, float]]] = {name: [] for name in before.used}
+        for number in range(0, endpoints, BATCH):
+            self.batch()
+            census = deployment.census()
+            for name, usage in census.used.items():
+                memory[name].append((number + BATCH, usage.rss * 1e6))
+            if number // BATCH % 10 == 9:
+                print(f"{self._side}: {number + BATCH}: {_memory(census)}", file=sys.stderr, flush=True)
+        seconds = time.monotonic() - began
+        after = self.settled()
+        slopes = {name: slope(points) for name, points in memory.items()}
+        return Churned(self._side, len(range(0, endpoints, BATCH)) * BATCH, before, after, slopes, seconds, memory)
+
+    def batch(self) -> None:
+        """Make a batch of endpoints, see all of them cross, and destroy them."""
+        deployment, side, number = self._deployment, self._side, next(self._numbers)
+        prefix = f"/churn_{side}_{number}"
+        fresh = [(f"{prefix}/t{i}", KINDS[i % len(KINDS)]) for i in range(FRESH)]
+        kept = [(f"/kept_{side}/t{i}", KINDS[i % len(KINDS)]) for i in range(KEPT)]
+        topics: list[dict[str, Any]] = [
+            deployment.topic(side, name, kind, latched=kind in LATCHED_KINDS and i % 2 == 0)
+            for i, (name, kind) in enumerate(fresh + kept)
+        ]
+        names, feeds = [t["topic"] for t in topics], [t["topic"] for t in self._feeds]
+        deployment.ask(side, "publish", topics=topics)
+        deployment.ask(side, "subscribe", topics=self._feeds)
+        deployment.ask(side, "put", topics=names)
+        far = [s for s in ("ros1", "ros2") if s != side]
+        deployment.until(lambda: all(deployment.routes(prefix).get(s) == FRESH for s in far), f"{prefix} crosses")
+        deployment.until(self._all_heard, f"{prefix}: all feeds are heard")
+        deployment.ask(side, "drop", publish=names, subscribe=feeds)
+
+    def _all_heard(self) -> bool:
+        heard = self._deployment.ask(self._side, "report")["heard"]
+        return all(ear["count"] for ear in heard.values())
+
+    def settled(self) -> Census:
+        """The daemon once nothing has come or gone for a while; its idle threads end after ten seconds."""
+        last, since = self._deployment.census(), time.monotonic()
+        end = since + SETTLE_SECONDS
+        while time.monotonic() < min(since + IDLE_SECONDS, end):
+            time.sleep(1.0)
+            census = self._deployment.census()
+            if _counts(census) != _counts(last):
+                since = time.monotonic()
+            last = census
+        return last
+
+
+def _counts(census: Census) -> list[Any]:
+    used = [(name, u.threads, u.descriptors) for name, u in sorted(census.used.items())]
+    return [used, dict(census.routes), census.tokens, census.registrations]
+
+
+def _memory(census: Census) -> str:
+    return ", ".join(
+        f"{name} {u.rss:.1f} MB {u.threads} threads {u.descriptors} fds" for name, u in census.used.items()
+    )
+
+
+def rows(churned: Churned) -> list[Row]:
+    """A side's figures; the peer is a daemon that keeps nothing."""
+    case = f"{churned.endpoints} endpoints on {churned.side}"
+    before, after = churned.before, churned.after
+    made = [Row(f"{case}, memory of {n}", s / 1000, 0.0, "kB each") for n, s in churned.slopes.items()]
+    for what in ("threads", "descriptors"):
+        left = sum(getattr(u, what) - getattr(before.used[n], what) for n, u in after.used.items())
+        made.append(Row(f"{case}, {what} left", left, 0.0, "count"))
+    made.append(Row(f"{case}, routes left", sum(after.routes.values()) - sum(before.routes.values()), 0.0, "count"))
+    made.append(Row(f"{case}, hub tokens left", after.tokens - before.tokens, 0.0, "count"))
+    made.append(Row(f"{case}, registrations left", after.registrations - before.registrations, 0.0, "count"))
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--endpoints", type=int, default=10_000, metavar="N", help="on each side (default %(default)s)")
+    parser.add_argument("--sides", nargs="+", choices=SIDES, default=list(SIDES), help="default all")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    found: list[Row] = []
+    for side in args.sides:
+        with Deployment() as deployment:
+            for program in {side, FEEDER[side]}:
+                deployment.program(program)
+            churned = Churn(deployment, side).run(args.endpoints)
+        print(f"{side}: {churned.endpoints / churned.seconds:.0f} endpoints/s", file=sys.stderr)
+        found += rows(churned)
+    report(found, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,113 @@
+"""A daemon between programs of every side, and a look at what it holds."""
+
+from __future__ import annotations
+
+import time
+import xmlrpc.client
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.latency.cases import CASES, Case, Prepared, prepare
+from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
+from bridge.hub.session import Hub, HubSettings
+
+SIDES = ("ros1", "ros2", "zenoh")
+
+
+@dataclass(frozen=True, slots=True)
+class Census:
+    """What the daemon holds at one moment.
+
+    Attributes:
+        used: its processes' memory, threads and descriptors, by name.
+        routes: routes of each worker.
+        tokens: endpoints, nodes and origins on the hub's graph.
+        registrations: its publications and subscriptions on the ROS 1 master.
+    """
+
+    used: Mapping[str, Usage]
+    routes: Mapping[str, int]
+    tokens: int
+    registrations: int
+
+
+class Deployment(Stage):
+    """A stage with a running daemon, a program of each side named as the side, and a session that looks at the hub."""
+
+    def __init__(self, cases: Sequence[Case] = CASES, config: Mapping[str, Any] | None = None) -> None:
+        super().__init__({"ros1": {"poll": 0.1}, "log": {"level": "warning"}, **(config or {})})
+        self._hub: Hub | None = None
+        try:
+            self._messages: dict[str, Prepared] = {case.key: prepare(case, self.place.folder) for case in cases}
+            self.start_bridge()
+            self._hub = Hub.open(
+                HubSettings(
+                    domain=self.place.config.hub.domain, router=self._router, node="watch", daemon="watch", worker="w"
+                )
+            )
+            self.until(lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers")
+            self.pids = processes(self.place.folder)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def _router(self) -> str:
+        return f"tcp/127.0.0.1:{self.place.router_port}"
+
+    def program(self, side: str, name: str = "") -> str:
+        """Start a program of a side; its name, which is the side's by default."""
+        name = name or side
+        arguments = (self._router, str(self.place.config.hub.domain)) if side == "zenoh" else ()
+        self.launch(name, f"benchmarks.endurance.{side}_program", *arguments, system=side == "ros1")
+        self.wait_for(name, "done")
+        return name
+
+    def ask(self, program: str, do: str, **params: Any) -> dict[str, Any]:
+        """Have a program obey a command; its answer."""
+        return self.command(program, do, "done", **params)
+
+    def topic(self, side: str, name: str, case: str, *, latched: bool = False) -> dict[str, Any]:
+        """A topic as the programs' commands name it."""
+        return self._messages[case].topic(name, ros1=side == "ros1") | {"latched": latched}
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """What each worker tells of itself, by side; the router's is left out."""
+        assert self._hub is not None
+        answers = [a.value for a in self._hub.ask("status", {}, timeout=5.0) if isinstance(a.value, dict)]
+        return {str(a["side"]): a for a in answers if a.get("side") in WORKERS}
+
+    def routes(self, prefix: str) -> dict[str, int]:
+        """Routes of each worker for topics that begin so."""
+        return {side: sum(r["topic"].startswith(prefix) for r in a["routes"]) for side, a in self.status().items()}
+
+    def census(self) -> Census:
+        """What the daemon holds now."""
+        assert self._hub is not None
+        graph = self._hub.graph
+        used = Meter({name: self.pids[name] for name in DAEMON if name in self.pids}).read()
+        tokens = len(graph.endpoints()) + len(graph.nodes()) + len(graph.origins())
+        return Census(used, self.routes("/"), tokens, self._registrations())
+
+    def _registrations(self) -> int:
+        with xmlrpc.client.ServerProxy(self.place.master) as master:
+            state: Any = master.getSystemState("/census")
+        return sum(node.startswith("/midspan") for kind in state[2] for _, nodes in kind for node in nodes)
+
+    def until(self, condition: Callable[[], object], what: str, seconds: float = UP_SECONDS) -> None:
+        """Wait for a condition; raises `RuntimeError` with the daemon's last words where it does not come true."""
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                msg = f"not within {seconds:g} s: {what}\n{self.words()}"
+                raise RuntimeError(msg)
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        """End all processes."""
+        hub, self._hub = self._hub, None
+        if hub is not None:
+            hub.close()
+        super().close()

@@ -1,0 +1,50 @@
+"""A native program of the hub that makes endpoints, sends, hears and counts.
+
+Usage: ``python -m benchmarks.endurance.zenoh_program ROUTER DOMAIN``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from benchmarks.endurance.program import Close, Heard, Program
+from benchmarks.latency.ros2_end import DEPTH
+from bridge.hub.publisher import HubPublisher
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+
+
+class ZenohProgram(Program):
+    """One session."""
+
+    def __init__(self, router: str, domain: int) -> None:
+        super().__init__()
+        node = f"program_{os.getpid()}"
+        self._hub = Hub.open(HubSettings(domain=domain, router=router, node=node, daemon="program", worker=node))
+        self._registry = Registry()
+
+    def publisher(self, topic: str, type_: str, *, latched: bool) -> HubPublisher:
+        """As the base says."""
+        return self._hub.publisher(topic, type_, self._registry.ros2(type_).type_id, _qos(latched=latched))
+
+    def listen(self, topic: str, type_: str, *, latched: bool, heard: Heard) -> Close:
+        """As the base says; ``heard`` runs on zenoh's receiving thread, so that a slow one stops its link."""
+        type_hash = self._registry.ros2(type_).type_id
+        subscription = self._hub.subscription(
+            topic, type_, type_hash, _qos(latched=latched), lambda sample: heard(sample.data())
+        )
+        return subscription.close
+
+    def close(self) -> None:
+        """As the base says."""
+        self._hub.close()
+
+
+def _qos(*, latched: bool) -> Qos:
+    return Qos(durability=Durability.TRANSIENT_LOCAL if latched else Durability.VOLATILE, depth=DEPTH)
+
+
+if __name__ == "__main__":
+    ZenohProgram(sys.argv[1], int(sys.argv[2])).run()
