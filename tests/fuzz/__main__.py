@@ -45,7 +45,9 @@ def main() -> int:
             print(f"input of {len(finding.content)} bytes: {finding.content[:300]!r}")
             print(f"again: python -m tests.fuzz --target {name} --file {file}")
     if args.json is not None:
-        args.json.write_text(json.dumps({n: {"inputs": o.inputs, "seconds": o.seconds} for n, o in fuzzing.outcomes.items()}))
+        args.json.write_text(
+            json.dumps({n: {"inputs": o.inputs, "seconds": o.seconds} for n, o in fuzzing.outcomes.items()})
+        )
     return 1 if bad else 0
 
 
@@ -69,7 +71,9 @@ def _look(targets: Sequence[Target], file: Path) -> int:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument("--target", action="append", choices=list(TARGETS), metavar="NAME", help="one parser, again for more")
+    parser.add_argument(
+        "--target", action="append", choices=list(TARGETS), metavar="NAME", help="one parser, again for more"
+    )
     parser.add_argument("--inputs", type=int, default=1_000_000, help="how many in all (default a million)")
     parser.add_argument("--seed", type=int, default=1, help="another seed makes other inputs (default 1)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")

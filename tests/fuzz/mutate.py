@@ -8,8 +8,36 @@ from collections.abc import Callable, Sequence
 
 _NUMBER = re.compile(rb"\d+")
 _EDGES = (0, 1, 2, 3, 4, 7, 8, 16, 0x7F, 0x80, 0xFF, 0x100, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
-_TEXT_NUMBERS = (b"-1", b"0", b"4294967296", b"18446744073709551616", b"1e999", b"nan", b"9" * 400, b"0x10", b"1_0", b"\xd9\xa3")
-_OPENERS = (b"[", b"{", b'{"a":', b"[[", b"(", b"<a>", b"- ", b"<value><array><data>", b"a/", b"/", b"%", b",", b":", b"\n", b"&a [*a,", b"'")
+_TEXT_NUMBERS = (
+    b"-1",
+    b"0",
+    b"4294967296",
+    b"18446744073709551616",
+    b"1e999",
+    b"nan",
+    b"9" * 400,
+    b"0x10",
+    b"1_0",
+    b"\xd9\xa3",
+)
+_OPENERS = (
+    b"[",
+    b"{",
+    b'{"a":',
+    b"[[",
+    b"(",
+    b"<a>",
+    b"- ",
+    b"<value><array><data>",
+    b"a/",
+    b"/",
+    b"%",
+    b",",
+    b":",
+    b"\n",
+    b"&a [*a,",
+    b"'",
+)
 _KEPT = 2000
 
 
@@ -30,7 +58,8 @@ class Mutator:
         self._largest = largest
         self._dice = random.Random(seed)
         self._steps: list[Callable[[bytearray], bytearray | None]] = [
-            self._flip, self._flip, self._set, self._set, self._edge, self._edge, self._edge, self._cut_end, self._cut_out,
+            self._flip, self._flip, self._set, self._set, self._edge, self._edge, self._edge,
+            self._cut_end, self._cut_out,
             self._double, self._splice, self._insert_noise, self._nest,
             *((self._insert_word, self._replace_by_word) if self._words else ()),
             *((self._number,) if any(_NUMBER.search(s) for s in self._corpus) else ()),

@@ -67,41 +67,48 @@ class Journal:
 
 def fuzz(subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes], None]) -> list[Finding]:
     """Give a parser so many inputs; what it did not take as it promises, one for each kind of failure."""
+    if not any(_is_good(subject, content) for content in subject.seeds):
+        return [Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")]
     mutator = Mutator(subject.seeds, subject.words, subject.largest, seed)
     findings: dict[str, Finding] = {}
     seen: set[Any] = set()
-    parse, refuses = subject.parse, subject.refuses
-    if not any(_is_good(subject, content) for content in subject.seeds):
-        return [Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")]
-    for number in range(inputs):
-        if number % _ROUND == 0:
-            gc.collect()
-            limit_memory()
-        content = mutator.next()
-        journal(number, content)
-        begun = time.thread_time()
-        try:
-            if number % _TRACE_EVERY:
-                parse(content)
-                new: set[Any] = set()
-            else:
-                new = traced(parse, content, refuses)
-        except refuses as err:
-            new = {way_of(err)}
-        except Exception as err:
-            found = finding_of(err, content)
-            findings.setdefault(found.signature, found)
-            new = set()
-        taken = time.thread_time() - begun
-        if taken > SECONDS:
-            findings.setdefault("slow", Finding("slow", content, f"took {taken:.1f} s of processor time"))
-        if not new <= seen:
-            seen |= new
-            mutator.keep(content)
-        if len(findings) >= _MOST_FINDINGS:
-            break
-    unlimit_memory()
+    try:
+        for number in range(inputs):
+            if number % _ROUND == 0:
+                gc.collect()
+                limit_memory()
+            content = mutator.next()
+            journal(number, content)
+            new, found = _give(subject, content, trace=number % _TRACE_EVERY == 0)
+            if found is not None:
+                findings.setdefault(found.signature, found)
+                if len(findings) >= _MOST_FINDINGS:
+                    break
+            elif not new <= seen:
+                seen |= new
+                mutator.keep(content)
+    finally:
+        unlimit_memory()
     return list(findings.values())
+
+
+def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], Finding | None]:
+    """Give a parser one input: what is known of the way that it took, and what went wrong."""
+    way: set[Any] = set()
+    begun = time.thread_time()
+    try:
+        if trace:
+            way = traced(subject.parse, content, subject.refuses)
+        else:
+            subject.parse(content)
+    except subject.refuses as err:
+        way = {way_of(err)}
+    except Exception as err:
+        return way, finding_of(err, content)
+    taken = time.thread_time() - begun
+    if taken > SECONDS:
+        return way, Finding("slow", content, f"took {taken:.1f} s of processor time")
+    return way, None
 
 
 def _is_good(subject: Subject, content: bytes) -> bool:

@@ -42,7 +42,7 @@ class Outcome:
     findings: dict[str, Finding] = field(default_factory=dict)
 
 
-class _Dead(Exception):
+class _DeadError(Exception):
     """The process ended, or was ended, in the middle of an input."""
 
     def __init__(self, how: str, number: int, content: bytes) -> None:
@@ -67,7 +67,7 @@ class _Worker:
         )
 
     def ask(self, work: dict[str, Any]) -> dict[str, Any]:
-        """Have some work done; raises `_Dead`."""
+        """Have some work done; raises `_DeadError`."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with contextlib.suppress(BrokenPipeError):
@@ -80,13 +80,13 @@ class _Worker:
                 last, since, spent = number, time.monotonic(), self._spent()
             elif self._spent() - spent > _HANG_SECONDS or time.monotonic() - since > _STUCK_SECONDS:
                 self.close()
-                raise _Dead("hang", number, content)
+                raise _DeadError("hang", number, content)
         line = self._process.stdout.readline()
         if not line:
             number, content = self._journal.read()
             code = self._process.wait()
             self.close()
-            raise _Dead(f"signal {-code}" if code < 0 else f"exit code {code}", number, content)
+            raise _DeadError(f"signal {-code}" if code < 0 else f"exit code {code}", number, content)
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -152,7 +152,7 @@ class Fuzzing:
             seed = f"{name} {self._seed} {begin}" + (f" {life}" if life else "")
             try:
                 answer = worker.ask({"do": "fuzz", "target": name, "inputs": inputs - done, "seed": seed})
-            except _Dead as dead:
+            except _DeadError as dead:
                 worker = _Worker()
                 found.append(Finding(dead.how, dead.content, f"the process ended: {dead.how}"))
                 done += 0 if dead.number == JOURNAL_IDLE else dead.number + 1
@@ -171,7 +171,7 @@ class Fuzzing:
         content = base64.b64encode(finding.content).decode()
         try:
             answer = worker.ask({"do": "shrink", "target": name, "content": content})
-        except _Dead:
+        except _DeadError:
             return _Worker(), finding
         if answer["signature"] != finding.signature:
             return worker, finding

@@ -26,7 +26,9 @@ class Connection:
         self.refusals: list[tuple[str, str]] = []
         self.trouble = ""
         self.over = threading.Event()
-        self.reader = Reader(DeadlineSocket(fileno=ours.detach()), "/t", "http://x/", self.messages.append, self.ended, self.refused)
+        self.reader = Reader(
+            DeadlineSocket(fileno=ours.detach()), "/t", "http://x/", self.messages.append, self.ended, self.refused
+        )
         self.reader.start()
 
     def refused(self, reason: str, why: str) -> None:

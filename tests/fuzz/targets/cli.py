@@ -20,8 +20,11 @@ def _pub() -> Subject:
     def parse(data: bytes) -> None:
         from_json(registry, "geometry_msgs/msg/TwistStamped", _fields(data.decode(errors="replace")))
 
-    seeds = texts("{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}")
-    words = texts("{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "!!timestamp 2001-01-01", "? ", "- ", ".nan", "0o7",
+    seeds = texts(
+        "{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}"
+    )
+    words = texts("{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "!!timestamp 2001-01-01",
+    "? ", "- ", ".nan", "0o7",
                   "2001-12-14 21:59:43", "!!binary x", "'", '"', "| ", "~", "\t")  # fmt: skip
     return Subject(parse, seeds, (CliError, ConversionError), words, largest=512)
 
@@ -34,8 +37,10 @@ def _status() -> Subject:
 
     console = Console(width=120, quiet=True)
     route = {
-        "direction": "in", "topic": "/a", "hub_topic": "/b", "type": "std_msgs/msg/String", "priority": "stream", "state": "active",
-        "messages": 3, "rate": 2.5, "age": 0.1, "latency_ms": {"p50": 0.2, "p99": 3}, "drops": {"queue": 2}, "error": "x",
+        "direction": "in", "topic": "/a", "hub_topic": "/b", "type": "std_msgs/msg/String", "priority": "stream",
+        "state": "active",
+        "messages": 3, "rate": 2.5, "age": 0.1, "latency_ms": {"p50": 0.2, "p99": 3},
+        "drops": {"queue": 2}, "error": "x",
     }  # fmt: skip
 
     def parse(data: bytes) -> None:

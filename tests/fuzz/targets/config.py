@@ -6,15 +6,19 @@ from bridge.config.problems import ConfigError
 from tests.fuzz.target import Subject, Target, texts
 
 _SEEDS = texts(
-    "name: robot\nhub: {domain: 3, listen: tcp/127.0.0.1:7447, zenoh: {mode: peer}}\nros1: {master: http://h:11311, poll: 0.1}\n",
+    "name: robot\nhub: {domain: 3, listen: tcp/127.0.0.1:7447, zenoh: {mode: peer}}\n"
+    "ros1: {master: http://h:11311, poll: 0.1}\n",
     "routing:\n  default: deny\n  private: false\n  rules:\n"
     "    - {topic: /camera/**, to: ros2, rate: 5, qos: {reliability: best_effort}}\n"
-    "    - {regex: '/a/(.*)', rename: '/b/\\1', priority: command, timeout: 0.2, depth: 4}\n    - {topic: '**', deny: true}\n",
-    "# only comments\nlog:\n  level: debug\nros2: {transport: udp, domain: 7}\n",
+    "    - {regex: '/a/(.*)', rename: '/b/\\1', priority: command, timeout: 0.2, depth: 4}\n"
+    "    - {topic: '**', deny: true}\n",
+    "# only comments\nlog:\n  level: debug\nlimits: {message: 16}\nros2: {transport: udp, domain: 7}\n",
 )
 _WORDS = texts(
-    "rules:\n", "- ", ": ", "{", "}", "[", "]", "&a ", "*a", "<<: ", "!!python/name:os ", "!!binary ", "? ", "| ", "> ", "'", '"', "#", "---\n",
-    "...\n", "~", "null", "2001-12-14", "0x7f", "1_000", ".inf", ".nan", "\t", "\ufeff", "topic:", "regex: '('", "rename: '\\9'", "from: ", "state:",
+    "rules:\n", "- ", ": ", "{", "}", "[", "]", "&a ", "*a", "<<: ", "!!python/name:os ", "!!binary ", "? ", "| ",
+    "> ", "'", '"', "#", "---\n",
+    "...\n", "~", "null", "2001-12-14", "0x7f", "1_000", ".inf", ".nan", "\t", "\ufeff", "topic:", "regex: '('",
+    "rename: '\\9'", "from: ", "state:",
 )  # fmt: skip
 
 

@@ -44,11 +44,19 @@ def _lines() -> Subject:
     def parse(data: bytes) -> None:
         step, stream = data[0] + 1 if data else 1, data[1:]
         pieces, whole = Lines(64), Lines(64)
-        some = [line for at in range(0, len(stream), step) for line in pieces.feed(stream[at : at + step])] + pieces.end()
+        some = [
+            line for at in range(0, len(stream), step) for line in pieces.feed(stream[at : at + step])
+        ] + pieces.end()
         assert all(len(line) <= 64 for line in some)
         assert some == whole.feed(stream) + whole.end(), some
 
-    return Subject(parse, [b"\5abc\ndef\n", b"\1" + b"x" * 200 + b"\nshort\n", b"\0\n\n\n"], (), texts("\n", "x" * 64, "x" * 65))
+    return Subject(
+        parse,
+        [b"\5abc\ndef\n", b"\1" + b"x" * 200 + b"\nshort\n", b"\0\n\n\n"],
+        (),
+        texts("\n", "x" * 64, "x" * 65),
+        600,
+    )
 
 
 def _lock() -> Subject:

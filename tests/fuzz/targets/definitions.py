@@ -10,9 +10,12 @@ from tests.fuzz.target import Subject, Target, texts
 
 _LINE = "=" * 80
 _WORDS = texts(
-    _LINE + "\nMSG: ", "\nMSG: a_msgs/B\n", "std_msgs/Header header\n", "float64[9] k\n", "string<=5[<=3] s\n", "[]", "[3]",
-    "[<=3]", "<=7", "byte X=1\n", 'string S="a#b" # c\n', "time t\n", "duration d\n", "wstring w\n", "a_msgs/A a\n", "Header h\n",
-    "bool b true\n", "int8[] n [1, 2]\n", "\r\n", "uint8[268435456] x\n", "builtin_interfaces/Time t\n", "a/msg/B b\n", "\x00",
+    _LINE + "\nMSG: ", "\nMSG: a_msgs/B\n", "std_msgs/Header header\n", "float64[9] k\n", "string<=5[<=3] s\n",
+    "[]", "[3]",
+    "[<=3]", "<=7", "byte X=1\n", 'string S="a#b" # c\n', "time t\n", "duration d\n", "wstring w\n", "a_msgs/A a\n",
+    "Header h\n",
+    "bool b true\n", "int8[] n [1, 2]\n", "\r\n", "uint8[268435456] x\n", "builtin_interfaces/Time t\n",
+    "a/msg/B b\n", "\x00",
 )  # fmt: skip
 _SEEDS = [
     "string data\n",
@@ -25,7 +28,7 @@ _SEEDS = [
 
 
 def _definition() -> Subject:
-    """A full definition: read, closed, written as text again, fingerprinted and compiled. The first byte: whose it is."""
+    """A full definition: read, closed, written again, fingerprinted and compiled. The first byte says whose it is."""
     from bridge.messages.compiler import compile_check
     from bridge.messages.definition import World
     from bridge.messages.hashes import md5_sum, rihs01
@@ -123,12 +126,16 @@ def _idl() -> Subject:
         parse_idl(data.decode(errors="replace"), "a_msgs/msg/A")
 
     seeds = texts(
-        "module a_msgs {\n  module msg {\n    struct A {\n      double x;\n      sequence<float, 3> y;\n    };\n  };\n};\n",
+        "module a_msgs {\n  module msg {\n    struct A {\n"
+        "      double x;\n      sequence<float, 3> y;\n    };\n  };\n};\n",
         '#include "b_msgs/msg/B.idl"\nmodule a_msgs { module msg {\n module A_Constants { const int32 N = 3; };\n'
-        ' typedef double d__3[3];\n @verbatim(language="comment", text="x")\n struct A { b_msgs::msg::B b; d__3 v; string<5> s;'
+        ' typedef double d__3[3];\n @verbatim(language="comment", text="x")\n'
+        " struct A { b_msgs::msg::B b; d__3 v; string<5> s;"
         " @default(value=2) int16 n; };\n};};\n",
     )
-    words = texts("module", "struct A {", "};", "sequence<", ">", "@key", "typedef", "const", "::", "[3]", '"', "/*", "*/", "//")
+    words = texts(
+        "module", "struct A {", "};", "sequence<", ">", "@key", "typedef", "const", "::", "[3]", '"', "/*", "*/", "//"
+    )
     return Subject(parse, seeds, (MessageTypeError,), words, largest=600)
 
 
@@ -152,7 +159,21 @@ def _mapping_rules() -> Subject:
         "- ros1_package_name: a\n  ros1_service_name: S\n  ros2_package_name: b\n  ros2_service_name: T\n"
         "  request_fields_1_to_2:\n    a: b\n",
     )
-    words = texts("- ", "&a ", "*a", "!!python/object:os.system ", "? ", ": ", "[", "{", "null", "<<: ", "\t", "--- ", "fields_1_to_2: ")
+    words = texts(
+        "- ",
+        "&a ",
+        "*a",
+        "!!python/object:os.system ",
+        "? ",
+        ": ",
+        "[",
+        "{",
+        "null",
+        "<<: ",
+        "\t",
+        "--- ",
+        "fields_1_to_2: ",
+    )
     return Subject(parse, seeds, (MessageTypeError,), words, largest=1024)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +16,8 @@ _ENDPOINT = (
 )
 _ORIGIN = "@midspan/0/origin/aac3178e146ba6f1fc6e6a4085e77f21/ros1/run%2Did/robot"
 _TOKEN_WORDS = texts(
-    "/", "%", "//", "@ros2_lv", "@midspan", "/NN/", "/MS/", "/SS/", "/SC/", "origin", "**", "*", "#", "?", "$*", "%00", "%ff", ":", ",",
+    "/", "%", "//", "@ros2_lv", "@midspan", "/NN/", "/MS/", "/SS/", "/SC/", "origin", "**", "*", "#", "?", "$*",
+    "%00", "%ff", ":", ",",
     "::dds_::", "_/", "RIHS01_", "%midspan", "0", "00000", "99999", "\x00", "\u0663", "2:1:2,1:1,2:3,4:1,1,1",
 )  # fmt: skip
 
@@ -35,7 +35,7 @@ def _attachment() -> Subject:
 
 
 def _token() -> Subject:
-    """Liveliness tokens of endpoints, nodes and origins; what is read is written as the same token again, or refused."""
+    """Liveliness tokens of endpoints, nodes and origins; what is read is written as the same again, or refused."""
     from bridge.hub.liveliness import (
         NodeToken,
         endpoint_key,
@@ -86,12 +86,17 @@ def _graph() -> Subject:
             assert endpoint in graph.publishers(endpoint.topic) + graph.subscriptions(endpoint.topic) or endpoint.kind
         for line in keys:
             graph._on_sample(SimpleNamespace(key_expr=line.lstrip("-"), kind=delete))  # type: ignore[arg-type]
-        left = (graph._nodes, graph._endpoints, graph._topics, graph._sessions, graph._zids, graph._marked, graph._origins,
+        left = (graph._nodes, graph._endpoints, graph._topics, graph._sessions, graph._zids,
+                graph._marked, graph._origins,
                 graph._origin_tokens)  # fmt: skip
         assert not any(left), left
 
     bridge = _ENDPOINT.replace("/MP/%/", "/MP/%midspan/")
-    seeds = texts(f"{_NODE}\n{_ENDPOINT}\n{_ORIGIN}", f"{_ORIGIN}\n{bridge}\n-{_ORIGIN}\n{_ORIGIN}2\n-{bridge}", f"{_NODE}\n-{_NODE}")
+    seeds = texts(
+        f"{_NODE}\n{_ENDPOINT}\n{_ORIGIN}",
+        f"{_ORIGIN}\n{bridge}\n-{_ORIGIN}\n{_ORIGIN}2\n-{bridge}",
+        f"{_NODE}\n-{_NODE}",
+    )
     return Subject(parse, seeds, (), [*_TOKEN_WORDS, *texts("\n", "-", "\n-")])
 
 
@@ -104,7 +109,9 @@ def _qos() -> Subject:
         assert decode_qos(encode_qos(qos)) == qos
 
     seeds = texts("::,7:,:,:,,", "2:1:2,1:1,2:3,4:1,1,1", ":::::", "::,10:9223372036,854775807:,:,,")
-    return Subject(parse, seeds, (WireError,), texts(":", ",", "0", "9223372036", "854775807", "4294967296", "\u0663", "-1"), 200)
+    return Subject(
+        parse, seeds, (WireError,), texts(":", ",", "0", "9223372036", "854775807", "4294967296", "\u0663", "-1"), 200
+    )
 
 
 def _names() -> Subject:
@@ -121,7 +128,9 @@ def _names() -> Subject:
         assert demangle(mangle(check_topic(topic))) == topic
         assert str(zenoh.KeyExpr(key)) == key
 
-    seeds = texts("/a/b std_msgs/msg/String RIHS01_" + "ab" * 32, "/a_b/c1 a/srv/B_Request RIHS01_0", "/\u00e9 a/msg/B_ RIHS01_1")
+    seeds = texts(
+        "/a/b std_msgs/msg/String RIHS01_" + "ab" * 32, "/a_b/c1 a/srv/B_Request RIHS01_0", "/\u00e9 a/msg/B_ RIHS01_1"
+    )
     return Subject(parse, seeds, (WireError,), [*_TOKEN_WORDS, *texts(" ", "/msg/", "\n", "@", "/@adv")], 2000)
 
 
@@ -151,7 +160,7 @@ class _Sized:
 
 
 def _samples() -> Subject:
-    """A subscription under samples with attachments of anything, 34 bytes each: 33 of attachment, one of what is done."""
+    """A subscription under samples, 34 bytes each: 33 of attachment, one of what is done."""
     import zenoh
 
     from bridge.hub import attachment
@@ -173,7 +182,8 @@ def _samples() -> Subject:
         heard: list[Any] = []
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         subscription = HubSubscription(
-            Nothing(), Nothing(), "t", "k", "/t", qos, 1000, heard.append, lambda _closed: None,  # type: ignore[arg-type]
+            Nothing(), Nothing(), "t", "k", "/t",
+            qos, 1000, heard.append, lambda _closed: None,  # type: ignore[arg-type]
         )  # fmt: skip
         hear = subscription._on_latched if qos.latched else subscription._on_sample
         count = 0
@@ -184,7 +194,11 @@ def _samples() -> Subject:
             )  # fmt: skip
             count += 1
             if how in (b"c", b"d", b"a"):
-                {b"c": subscription.came, b"d": lambda _: subscription.done("0"), b"a": lambda _: subscription.asked("0")}[how](sample)  # type: ignore[operator]
+                {
+                    b"c": subscription.came,
+                    b"d": lambda _: subscription.done("0"),
+                    b"a": lambda _: subscription.asked("0"),
+                }[how](sample)  # type: ignore[operator]
             else:
                 hear(sample)  # type: ignore[arg-type]
         assert len(heard) <= count

@@ -21,7 +21,21 @@ def _package() -> Subject:
         "a_msgs\nsrv/A.srv\nint64 a\n---\nint64 sum\n",
         "a_msgs\naction/A.action\nint64 a\n---\nint64 b\n---\nint64 c\n",
     )
-    words = texts("---\n", "#", "=", "[<=3]", "<=3", "a_msgs/msg/B b\n", "time t\n", "int8 B=2\n", "../", "/", ".msg", "\x00", "\u2028")
+    words = texts(
+        "---\n",
+        "#",
+        "=",
+        "[<=3]",
+        "<=3",
+        "a_msgs/msg/B b\n",
+        "time t\n",
+        "int8 B=2\n",
+        "../",
+        "/",
+        ".msg",
+        "\x00",
+        "\u2028",
+    )
     return Subject(parse, seeds, (BuildError,), words)
 
 

@@ -137,8 +137,7 @@ def _to_json() -> Subject:
 
     registry = Registry()
     seeds = [
-        bytes([number]) + from_json(registry, name, sample(registry.schema(name)))
-        for number, name in enumerate(_TYPES)
+        bytes([number]) + from_json(registry, name, sample(registry.schema(name))) for number, name in enumerate(_TYPES)
     ]
 
     def parse(data: bytes) -> None:
@@ -155,9 +154,7 @@ def _from_json() -> Subject:
     from tests.messages.samples import sample
 
     registry = Registry()
-    seeds = [
-        bytes([number]) + json.dumps(sample(registry.schema(name))).encode() for number, name in enumerate(_TYPES)
-    ]
+    seeds = [bytes([number]) + json.dumps(sample(registry.schema(name))).encode() for number, name in enumerate(_TYPES)]
 
     def parse(data: bytes) -> None:
         name = _TYPES[data[0] % len(_TYPES)] if data else _TYPES[0]
@@ -167,7 +164,19 @@ def _from_json() -> Subject:
             return
         from_json(registry, name, value)
 
-    words = [b"null", b"true", b"1e400", b"NaN", b"-Infinity", b'"\\ud800"', b'"data":', b"{}", b"[]", b'"header":', b"1.0"]
+    words = [
+        b"null",
+        b"true",
+        b"1e400",
+        b"NaN",
+        b"-Infinity",
+        b'"\\ud800"',
+        b'"data":',
+        b"{}",
+        b"[]",
+        b'"header":',
+        b"1.0",
+    ]
     return Subject(parse, seeds, (ConversionError,), words, largest=4096)
 
 

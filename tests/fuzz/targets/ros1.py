@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import json
 import math
 import socket
@@ -36,7 +35,9 @@ def _header() -> Subject:
         if fields.get("type") and fields.get("md5sum"):
             Facts.of(fields)
 
-    return Subject(parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (ProtocolError,), _HEADER_WORDS)
+    return Subject(
+        parse, [encode(_FIELDS)[4:], encode({"error": "not a publisher"})[4:]], (ProtocolError,), _HEADER_WORDS
+    )
 
 
 @contextlib.contextmanager
@@ -59,7 +60,9 @@ def _greeting() -> Subject:
         with _wire(data) as sock:
             read_header(sock)
 
-    return Subject(parse, [encode(_FIELDS), encode({}), encode(_FIELDS) + b"\4\0\0\0abcd"], (ProtocolError,), _HEADER_WORDS)
+    return Subject(
+        parse, [encode(_FIELDS), encode({}), encode(_FIELDS) + b"\4\0\0\0abcd"], (ProtocolError,), _HEADER_WORDS
+    )
 
 
 def _frames() -> Subject:
@@ -121,10 +124,14 @@ def _answer(value: Any) -> bytes:
 
 
 _XML_WORDS = texts(
-    "<value>", "</value>", "<array><data>", "</data></array>", "<struct>", "<member><name>a</name>", "<int>", "<i8>", "<boolean>2</boolean>",
-    "<nil/>", "<base64>!</base64>", "<dateTime.iso8601>x</dateTime.iso8601>", "<double>nan</double>", "<int>9e9</int>", "<ex:nil/>",
-    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "&#0;", "&lt;", "<![CDATA[", "]]>", "<?xml version='1.0' encoding='utf-16'?>", "<fault>",
-    "<bigdecimal>1e999999</bigdecimal>", "<float>1e999</float>", "<biginteger>1</biginteger>", "<param>", "<methodName>a</methodName>",
+    "<value>", "</value>", "<array><data>", "</data></array>", "<struct>", "<member><name>a</name>", "<int>",
+    "<i8>", "<boolean>2</boolean>",
+    "<nil/>", "<base64>!</base64>", "<dateTime.iso8601>x</dateTime.iso8601>", "<double>nan</double>",
+    "<int>9e9</int>", "<ex:nil/>",
+    "<!DOCTYPE a [<!ENTITY b 'c'>]>", "&b;", "&#0;", "&lt;", "<![CDATA[", "]]>",
+    "<?xml version='1.0' encoding='utf-16'?>", "<fault>",
+    "<bigdecimal>1e999999</bigdecimal>", "<float>1e999</float>", "<biginteger>1</biginteger>", "<param>",
+    "<methodName>a</methodName>",
 )  # fmt: skip
 
 
@@ -154,7 +161,8 @@ def _graph() -> Subject:
     entry = {"owner": "x", "daemon": "d", "node": "/midspan2", "uri": "http://h:1/", "pid": 7}
     state = [[["/chatter", ["/a", "/b"]]], [["/chatter", ["/c"]]], [["/a/service", ["/a"]]]]
     good = [
-        [[1, "", state]], [[1, "", [["/chatter", "std_msgs/String"]]]], [[1, "", "run-id"]], [[1, "", {"midspan2": entry}]],
+        [[1, "", state]], [[1, "", [["/chatter", "std_msgs/String"]]]], [[1, "", "run-id"]], [[1, "",
+        {"midspan2": entry}]],
         [[1, "", 4711]], [[1, "", "http://h:11311/"]],
     ]  # fmt: skip
     uris = [[[1, "", f"http://{node}:1/"]] for node in "abc"]
@@ -173,8 +181,14 @@ def _graph() -> Subject:
         looker._nodes = ("/a", "/b", "/c")
         looker.look()
 
-    seeds = [_answer(good), _answer([*good, *uris]), _answer([*good[:2], {"faultCode": 1, "faultString": "x"}, *good[3:]])]
-    return Subject(parse, seeds, (Ros1Error,), [*_XML_WORDS, *texts("<int>1</int>", "<string>/a</string>")], largest=16384)
+    seeds = [
+        _answer(good),
+        _answer([*good, *uris]),
+        _answer([*good[:2], {"faultCode": 1, "faultString": "x"}, *good[3:]]),
+    ]
+    return Subject(
+        parse, seeds, (Ros1Error,), [*_XML_WORDS, *texts("<int>1</int>", "<string>/a</string>")], largest=16384
+    )
 
 
 def _http() -> Subject:
@@ -198,8 +212,10 @@ def _http() -> Subject:
         b"HTTP/1.0 500 Oh\r\n\r\n",
     ]
     words = texts(
-        "HTTP/1.1 100 Continue\r\n\r\n", "\r\n\r\n", "Content-Length: -1\r\n", "Content-Length: 99999999999\r\n", "Transfer-Encoding: chunked\r\n",
-        "FFFFFFFFFFFF\r\n", "Connection: close\r\n", "X: " + "y" * 300 + "\r\n", "HTTP/9.9 200\r\n", "Content-Length: 1_0\r\n", "-5\r\n",
+        "HTTP/1.1 100 Continue\r\n\r\n", "\r\n\r\n", "Content-Length: -1\r\n", "Content-Length: 99999999999\r\n",
+        "Transfer-Encoding: chunked\r\n",
+        "FFFFFFFFFFFF\r\n", "Connection: close\r\n", "X: " + "y" * 300 + "\r\n", "HTTP/9.9 200\r\n",
+        "Content-Length: 1_0\r\n", "-5\r\n",
     )  # fmt: skip
     return Subject(parse, seeds, (Ros1Error,), words)
 
@@ -216,7 +232,9 @@ def _uri() -> Subject:
         RpcClient(data.decode(errors="replace"), 1.0).close()
 
     seeds = texts("http://robot:11311/", "http://127.0.0.1:4242", "http://[::1]:80/x", "https://h/", "rosrpc://h:1")
-    return Subject(parse, seeds, (Ros1Error,), texts("http://", "[", "]", ":", "@", "%00", "\r\n", "//", "65536", "?", "#"), 512)
+    return Subject(
+        parse, seeds, (Ros1Error,), texts("http://", "[", "]", ":", "@", "%00", "\r\n", "//", "65536", "?", "#"), 512
+    )
 
 
 def _names() -> Subject:

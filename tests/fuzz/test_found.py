@@ -1,0 +1,34 @@
+"""What the fuzzers found stays mended: each input as short as it could be made."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+
+from tests.fuzz.targets import TARGETS
+
+FOUND = [
+    ("definition", b'2string<=5 t"""'),
+    ("definition", b'2string<=5 t "\\x"'),
+    ("definition", b'2string t "a", "b"'),
+    ("header_type", b"std_msgs/g\n\n" + b"u" * 300 + b" e"),
+    ("xmlrpc", b"<bigdecimal></bigdecimal>"),
+    ("http", b"HTTP/1. 200\n \nContent-Length:18446744073709551616\n\n="),
+    ("http", b"HTTP/1. 200\n \nContent-Length:94967296\n\n<"),
+    ("node_uri", b"http://\x00"),
+    ("node_uri", b"p://["),
+    ("ros1_ledger", b"[" * 3000),
+    ("ros2_prefixes", b"\x9f"),
+    ("lock", b'{"pid":1e999,"machine":"","owner":""}'),
+    ("lock", b"[" * 3000),
+    ("control", b"[" * 3000),
+    ("qos", b"::,:828372036,8547792233720365807:,:,,"),
+]
+
+
+@pytest.mark.parametrize(("name", "content"), FOUND, ids=[f"{n}-{k}" for k, (n, _) in enumerate(FOUND)])
+def test_what_was_found_stays_mended(name: str, content: bytes) -> None:
+    subject = TARGETS[name].make()
+    with contextlib.suppress(*subject.refuses):
+        subject.parse(content)

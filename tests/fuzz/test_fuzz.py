@@ -1,0 +1,88 @@
+"""A million inputs to the parsers in all, and the engine that makes them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.targets import TARGETS
+
+ROOT = Path(__file__).parents[2]
+MILLION = 1_000_000
+
+
+@pytest.mark.timeout(600)
+def test_a_million_inputs(tmp_path: Path) -> None:
+    figures = tmp_path / "figures.json"
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.fuzz", "--inputs", str(MILLION), "--json", figures, "--save", tmp_path],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    print(done.stdout)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    told = json.loads(figures.read_text())
+    assert set(told) == set(TARGETS)
+    assert sum(figure["inputs"] for figure in told.values()) >= MILLION
+
+
+def hungry(data: bytes) -> None:
+    """A parser that breaks every promise."""
+    if data.startswith(b"m"):
+        bytearray(100 << 20)
+    if data.startswith(b"s"):
+        sum(range(5_000_000))
+    if data.startswith(b"w"):
+        raise KeyError(data)
+    if data.startswith(b"boom"):
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if b"i" in data:
+        raise ValueError
+
+
+def engine(code: str) -> str:
+    """Run a few lines with the engine in a process of its own, which limits its memory."""
+    head = (
+        "from tests.fuzz import run\nfrom tests.fuzz.shrink import shrunk\nfrom tests.fuzz.target import Subject\n"
+        "from tests.fuzz.test_fuzz import hungry\nrun.SECONDS = 0.02\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", head + code], cwd=ROOT, capture_output=True, text=True, timeout=100, check=True
+    )
+    return done.stdout
+
+
+@pytest.mark.parametrize(("word", "signature"), [(b"m", "MemoryError"), (b"s", "slow"), (b"w", "KeyError")])
+def test_the_engine_finds_what_it_is_there_for(word: bytes, signature: str) -> None:
+    code = (
+        f"subject = Subject(hungry, [b'xxx'], (ValueError,), [{word!r}], 16)\n"
+        "for finding in run.fuzz(subject, 500, '1', lambda number, content: None):\n"
+        "    print(finding.signature, finding.content[:1])\n"
+    )
+    assert any(line.startswith(signature) and line.endswith(repr(word)) for line in engine(code).splitlines())
+
+
+@pytest.mark.parametrize("first", ["w", "boom"])
+def test_a_finding_is_made_short(first: str) -> None:
+    code = f"print(shrunk(Subject(hungry, [b''], (ValueError,)), {first.encode()!r} + b'long' * 50)[1])\n"
+    assert engine(code) == f"b'{first}'\n"
+
+
+def test_the_same_seed_makes_the_same_inputs() -> None:
+    code = (
+        "import hashlib\ngiven = []\n"
+        "subject = Subject(hungry, [b'xyz', b'def'], (ValueError,))\n"
+        "run.fuzz(subject, 500, '7', lambda number, content: given.append(content))\n"
+        "print(len(given), hashlib.md5(b' '.join(given)).hexdigest())\n"
+    )
+    first = engine(code)
+    assert first.startswith("500 ")
+    assert first == engine(code)
