@@ -81,6 +81,7 @@ class HubGraph:
 
     Attributes:
         refused: how many tokens were left out because they are malformed or too many.
+        trouble: what was wrong with the last of them.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, max_tokens: int) -> None:
@@ -99,6 +100,7 @@ class HubGraph:
         self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
         self.refused = 0
+        self.trouble = ""
         self._liveliness = session.liveliness()
         self._subscribers = [
             self._liveliness.declare_subscriber(
@@ -310,6 +312,7 @@ class HubGraph:
     def _refuse(self, key: str, why: str) -> None:
         level = logging.DEBUG if self.refused else logging.WARNING
         self.refused += 1
+        self.trouble = f"{why}: {key:.100}"
         _log.log(level, "liveliness token left out, %s: %.200s", why, key)
 
     def _tell(self, changed: bool) -> None:

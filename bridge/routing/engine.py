@@ -199,8 +199,14 @@ class Engine:
             "network": self._network,
             "routes": sorted((r.status() for r in self.routes()), key=lambda r: (str(r["topic"]), str(r["direction"]))),
             "refused": [v.as_dict() for v in self.verdicts() if v.refused],
-            "warnings": [*self.edge.warnings(), *self._left_out()],
+            "warnings": [*self.edge.warnings(), *self._left_out(), *self._refused_tokens()],
         }
+
+    def _refused_tokens(self) -> list[str]:
+        graph = self.hub.graph
+        if not graph.refused:
+            return []
+        return [f"{graph.refused} liveliness tokens on the hub were left out, the last one: {graph.trouble}"]
 
     def _left_out(self) -> list[str]:
         return sorted({

@@ -97,6 +97,11 @@ class Peer:
             endpoint.handle.publish(message)
         return {}
 
+    def publish_raw(self, params: dict[str, Any]) -> dict[str, Any]:
+        """Bytes in place of a message: ``hex``, then as many zeros as ``zeros`` says."""
+        self.endpoints[params["id"]].handle.publish(bytes.fromhex(params["hex"]) + bytes(params.get("zeros", 0)))
+        return {}
+
     def wait(self, params: dict[str, Any]) -> dict[str, Any]:
         endpoint = self.endpoints[params["id"]]
         with endpoint.arrived:

@@ -1,0 +1,412 @@
+"""Bad input from each network is refused with its reason and counted, while a good topic flows beside it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import socket
+import struct
+import urllib.error
+import urllib.request
+import xmlrpc.client
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.adapters.ros1.handshake import encode
+from bridge.hub import attachment
+from bridge.hub.keyexpr import topic_key
+from bridge.hub.settings import make_config, session_tree
+from tests.adapters.ros1.servers import publisher, until_closed
+from tests.interop.deployment import Deployment
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
+MEGABYTE = 1 << 20
+LIMIT = 16
+
+
+class Siege:
+    """A deployment, a topic that is to flow whatever happens, and programs that mean no good."""
+
+    def __init__(self, deployment: Deployment, stack: contextlib.ExitStack) -> None:
+        self.deployment, self.stack = deployment, stack
+        self.ros1, self.ros2, self.zenoh = deployment.ros1(), deployment.ros2(), deployment.zenoh()
+        self._out = {"ros1": self.ros1.advertise("/good1", STRING), "ros2": self.ros2.advertise("/good2", STRING)}
+        self._heard = {"ros1": self.ros2.subscribe("/good1", STRING), "ros2": self.ros1.subscribe("/good2", STRING)}
+        self._number = 0
+        self._names = 0
+        self.still_flows()
+
+    def still_flows(self) -> None:
+        """One message each way between ROS 1 and ROS 2."""
+        for side, sender, hearer in (("ros1", self.ros1, self.ros2), ("ros2", self.ros2, self.ros1)):
+            self._number += 1
+            message = {"data": f"good {self._number}"}
+
+            def crosses(sender: Any = sender, hearer: Any = hearer, side: str = side, message: Any = message) -> bool:
+                sender.publish(self._out[side], message)
+                return message in hearer.wait(self._heard[side], 100_000, 0.1)
+
+            until(crosses, f"{message} crosses from {side}", 30)
+
+    def name(self, word: str) -> str:
+        """A topic's name that no other test has."""
+        self._names += 1
+        return f"/{word}{self._names}"
+
+    def route(self, side: str, topic: str, direction: str, **drops: int) -> dict[str, Any]:
+        """The route of a topic, once it has counted so many drops."""
+
+        def counted() -> dict[str, Any] | None:
+            route = self.deployment.route(side, topic, direction)
+            return route if route and all(route["drops"][k] >= n for k, n in drops.items()) else None
+
+        found = until(counted, f"{side} {direction} {topic} counts {drops}", 30, every=0.1)
+        assert found is not None
+        return found
+
+    def refusal(self, topic: str) -> dict[str, Any]:
+        """Why a topic does not cross, once it is told."""
+        told = lambda: [line for line in self.deployment.explain(topic) if line["decision"] == "refused"]  # noqa: E731
+        return until(told, f"{topic} is refused", 30, every=0.1)[0]
+
+    def warning(self, topic: str) -> str:
+        """What the ros1 worker says of a topic."""
+        told = lambda: [w for w in self.deployment.worker("ros1").get("warnings", []) if w.startswith(f"{topic}:")]  # noqa: E731
+        return str(until(told, f"a warning about {topic}", 30, every=0.1)[0])
+
+    def hostile(self, topic: str, serve: Callable[[socket.socket], None], type_: str = STRING) -> None:
+        """A ROS 1 node whose publication of a topic is served by ``serve``, registered with the real master."""
+        uri = self.stack.enter_context(publisher(serve))
+        self._names += 1
+        node = f"/hostile{self._names}"
+        with xmlrpc.client.ServerProxy(self.deployment.master.uri) as master:
+            assert master.registerPublisher(node, topic, type_, uri)[0] == 1  # type: ignore[index]
+            self.stack.callback(self._unregister, node, topic, uri)
+
+    def _unregister(self, node: str, topic: str, uri: str) -> None:
+        with xmlrpc.client.ServerProxy(self.deployment.master.uri) as master:
+            master.unregisterPublisher(node, topic, uri)
+
+    def session(self) -> zenoh.Session:
+        """A zenoh session that knows nothing of Midspan."""
+        tree = session_tree(f"tcp/127.0.0.1:{self.deployment.port}", shared_memory=False, max_payload=256 * MEGABYTE)
+        session = zenoh.open(make_config(tree, None))
+        self.stack.callback(session.close)
+        return session
+
+
+@pytest.fixture(scope="module")
+def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Siege]:
+    with Deployment(tmp_path_factory.mktemp("siege")) as deployment, contextlib.ExitStack() as stack:
+        deployment.start(limits={"message": LIMIT})
+        yield Siege(deployment, stack)
+
+
+@pytest.fixture
+def siege(besieged: Siege) -> Iterator[Siege]:
+    """The good topic flows after each test."""
+    yield besieged
+    besieged.still_flows()
+
+
+def header(**fields: str) -> bytes:
+    told = {"callerid": "/hostile", "type": STRING, "md5sum": MD5, "message_definition": "string data\n"}
+    return encode({**told, **fields})
+
+
+def says(*parts: bytes) -> Callable[[socket.socket], None]:
+    """A publisher that says this to whoever connects, and then nothing."""
+
+    def serve(sock: socket.socket) -> None:
+        sock.recv(65536)
+        for part in parts:
+            sock.sendall(part)
+        until_closed(sock)
+
+    return serve
+
+
+def frame(payload: bytes) -> bytes:
+    return struct.pack("<I", len(payload)) + payload
+
+
+def text(data: str) -> bytes:
+    return frame(data.encode())
+
+
+# -- ROS 1 -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (b"\xff\xff\xff\xff", "claims 4294967295 bytes"),
+        (struct.pack("<I", 8) + struct.pack("<I", 1000) + b"type", "cut short"),
+        (struct.pack("<I", 9) + struct.pack("<I", 5) + b"hello", "no '='"),
+        (encode({"callerid": "/hostile"}), "names no type"),
+        (encode({"error": "go away"}), "go away"),
+    ],
+    ids=["huge", "field too long", "no equals", "no type", "error"],
+)
+def test_ros1_headers_that_lie(siege: Siege, said: bytes, why: str) -> None:
+    topic = siege.name("header")
+    siege.hostile(topic, says(said))
+    assert why in siege.warning(topic)
+
+
+def test_ros1_messages_that_lie(siege: Siege) -> None:
+    """The text in the message is longer than the message; nothing follows it; something is left over."""
+    topic = siege.name("lying")
+    good = frame(text("good"))
+    siege.hostile(
+        topic, says(header(latching="1"), frame(b"\xff\xff\xff\x7fabc"), frame(b""), frame(text("x") + b"!"), good)
+    )
+    route = siege.route("ros1", topic, "in", bad=3)
+    assert "std_msgs/String" in route["error"]
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the good one behind them crosses")
+
+
+def test_a_ros1_length_that_cannot_be(siege: Siege) -> None:
+    topic = siege.name("endless")
+    siege.hostile(topic, says(header(), struct.pack("<I", 0xFFFFFFF0) + b"x"))
+    assert "4294967280 bytes" in siege.route("ros1", topic, "in", bad=1)["error"]
+
+
+def test_64_megabytes_on_ros1_where_the_limit_says_16(siege: Siege) -> None:
+    topic = siege.name("huge")
+    siege.hostile(topic, says(header(), frame(bytes(64 * MEGABYTE)), frame(text("small"))))
+    route = siege.route("ros1", topic, "in", large=1)
+    assert f"{64 * MEGABYTE} bytes, limits.message allows {LIMIT * MEGABYTE}" in route["error"]
+    until(lambda: siege.route("ros1", topic, "in")["messages"] == 1, "the small one behind it crosses")
+
+
+LOOP = "=" * 80 + "\nMSG: loop_msgs/Loop\nloop_msgs/Loop again\n"
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"md5sum": "0" * 32}, "0" * 32),
+        ({"type": "nowhere_msgs/Nothing", "md5sum": "1" * 32, "message_definition": ""}, "nowhere_msgs/Nothing"),
+        ({"type": "loop_msgs/Loop", "md5sum": "*", "message_definition": "loop_msgs/Loop again\n"}, "contains itself"),
+        ({"type": "loop_msgs/In", "md5sum": "*", "message_definition": f"loop_msgs/Loop a\n{LOOP}"}, "contains itself"),
+        ({"type": "a_msgs/A", "md5sum": "2" * 32, "message_definition": "int8[] ]["}, "cannot read"),
+        ({"type": "no type", "md5sum": "3" * 32, "message_definition": "int8 a"}, "no type"),
+        ({"type": f"a_msgs/{'A' * 300}", "md5sum": "*", "message_definition": "int8 a"}, "AAAA"),
+    ],
+    ids=[
+        "md5 differs",
+        "nobody defines",
+        "nests itself",
+        "nests one that does",
+        "no grammar",
+        "no name",
+        "endless name",
+    ],
+)
+def test_ros1_types_that_are_none(siege: Siege, fields: dict[str, str], why: str) -> None:
+    topic = siege.name("type")
+    siege.hostile(topic, says(header(**fields)))
+    line = siege.refusal(topic)
+    assert why in line["why"]
+    assert why in siege.deployment.command("explain", topic).stdout.replace("\n", " ")
+
+
+def test_ros1_names_with_illegal_characters(siege: Siege) -> None:
+    topic = siege.name("1-a/*/é%?")
+    siege.hostile(topic, says(header(), frame(text("x"))))
+    route = siege.route("ros1", topic, "in")
+    assert re.fullmatch(r"/n1_a/_/___\d+", route["hub_topic"])
+
+
+def test_hostile_ros1_subscribers(siege: Siege) -> None:
+    """Raw connections to our node: lying headers, another md5, and one that is admitted and never reads."""
+    topic = siege.name("outward")
+    heard = siege.ros1.subscribe(topic, STRING)
+    out = siege.ros2.advertise(topic, STRING)
+    siege.deployment.until_route("ros2", topic, "in")
+
+    def crosses() -> bool:
+        siege.ros2.publish(out, {"data": "x" * 100_000})
+        return bool(siege.ros1.wait(heard, 1, 0.2))
+
+    until(crosses, "our node publishes", 30)
+    with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
+        uri = str(master.lookupNode("/test", "/midspan")[2])  # type: ignore[index]
+    with xmlrpc.client.ServerProxy(uri) as node:
+        _, host, port = node.requestTopic("/raw", topic, [["TCPROS"]])[2]  # type: ignore[index,misc]
+    ask = {"callerid": "/raw", "topic": topic, "type": STRING, "md5sum": MD5}
+    for said in (
+        b"\xff\xff\xff\xff",
+        struct.pack("<I", 5) + b"\1\2\3\4\5",
+        encode({}),
+        encode({**ask, "md5sum": "0" * 32}),
+    ):
+        with socket.create_connection((host, int(str(port))), timeout=20) as sock:
+            sock.sendall(said)
+            until(lambda sock=sock: sock.recv(65536) == b"", "our node hangs up", 20)  # type: ignore[misc]
+    with socket.create_connection((host, int(str(port)))) as deaf:
+        deaf.sendall(encode(ask) + b"\xff" * 1000)
+        for number in range(40):
+            siege.ros2.publish(out, {"data": f"{number}" + "x" * 400_000})
+        seen = lambda: any(m["data"].startswith("39x") for m in siege.ros1.wait(heard, 100_000, 0.2))  # noqa: E731
+        until(seen, "the other subscriber hears all that while", 30)
+
+
+def test_hostile_requests_to_our_ros1_node(siege: Siege) -> None:
+    with xmlrpc.client.ServerProxy(siege.deployment.master.uri) as master:
+        uri = str(master.lookupNode("/test", "/midspan")[2])  # type: ignore[index]
+    bomb = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10 if n else "lol"}">' for n in range(10))
+    junk = "<value><array><data>" * 5000
+    call = (
+        "<?xml version='1.0'?>{}<methodCall><methodName>publisherUpdate</methodName>"
+        "<params><param>{}</param></params></methodCall>"
+    )
+    bodies = (call.format(f"<!DOCTYPE x [{bomb}]>", "<value>&a9;</value>"), call.format("", junk), "\0\1", "<a>", "")
+    for body in bodies:
+        request = urllib.request.Request(uri, body.encode())
+        with contextlib.suppress(urllib.error.URLError), urllib.request.urlopen(request, timeout=20) as answer:
+            assert b"fault" in answer.read()
+    # 100 GB are announced: told off at once, without a byte of them.
+    host, port = uri.removeprefix("http://").rstrip("/").split(":")
+    with socket.create_connection((host, int(port)), timeout=20) as sock:
+        sock.sendall(b"POST / HTTP/1.1\r\nContent-Length: 100000000000\r\n\r\n<a>")
+        assert b" 413 " in sock.recv(65536).split(b"\r\n")[0]
+
+
+# -- ROS 2 -------------------------------------------------------------------------------------------------------------
+
+
+def test_cdr_that_is_none_on_ros2(siege: Siege) -> None:
+    """Cut short, big-endian, with rubbish behind it, no CDR at all; each from a real rclpy publisher of raw bytes."""
+    topic = siege.name("raw")
+    out = siege.ros2.advertise(topic, STRING)
+    heard = siege.zenoh.subscribe(topic, STRING)
+    siege.deployment.until_route("ros2", topic, "in")
+    good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
+    bad = {
+        "cut short": good[:-3],
+        "big-endian": b"\0\0\0\0" + struct.pack(">I", 5) + b"good\0",
+        "rubbish": good + b"rubbish behind the message",
+        "a length that lies": b"\0\1\0\0\xff\xff\xff\xffgood\0",
+        "no CDR": b'{"a": 1}',
+    }  # fmt: skip
+    for count, (what, payload) in enumerate(bad.items(), 1):
+        siege.ros2.ask("publish_raw", id=out, hex=payload.hex())
+        route = siege.route("ros2", topic, "in", bad=count)
+        assert route["drops"]["bad"] == count, what
+        assert "std_msgs/msg/String" in route["error"], what
+    siege.ros2.ask("publish_raw", id=out, hex=good.hex())
+    until(
+        lambda: siege.zenoh.wait(heard, 1, 0.2) == [{"data": "good"}], "the good one behind them, and it alone, crosses"
+    )
+    assert "bad 5" in siege.deployment.command("explain", topic).stdout
+
+
+def test_64_megabytes_on_ros2_where_the_limit_says_16(siege: Siege) -> None:
+    topic = siege.name("raw")
+    out = siege.ros2.advertise(topic, STRING)
+    siege.deployment.until_route("ros2", topic, "in")
+    size = 64 * MEGABYTE
+    siege.ros2.ask("publish_raw", id=out, hex=(b"\0\1\0\0" + struct.pack("<I", size)).hex(), zeros=size)
+    route = siege.route("ros2", topic, "in", large=1)
+    assert "limits.message" in route["error"]
+    siege.ros2.publish(out, {"data": "small"})
+    until(lambda: siege.route("ros2", topic, "in")["messages"] == 1, "a small one crosses")
+
+
+# -- zenoh -------------------------------------------------------------------------------------------------------------
+
+
+def test_samples_that_are_none_on_the_hub(siege: Siege) -> None:
+    """No attachment, attachments of nonsense, CDR of nonsense, too large; refused on the way to ROS 1 and to ROS 2."""
+    topic = siege.name("hub")
+    heard = siege.ros1.subscribe(topic, STRING)
+    out = siege.zenoh.advertise(topic, STRING)
+    siege.zenoh.hub_publish_until(out, {"data": "probe"}, lambda: siege.ros1.wait(heard, 1, 0.2))
+    key = topic_key(0, topic, "std_msgs/msg/String", siege.zenoh.registry.ros2("std_msgs/msg/String").type_id)
+    session = siege.session()
+    good = b"\0\1\0\0" + struct.pack("<I", 5) + b"good\0"
+    sides = ("ros1", "ros2")
+
+    def linked() -> bool:
+        session.put(key, good)
+        return all(siege.route(side, topic, "out")["drops"]["bad"] for side in sides)
+
+    until(linked, "the raw session reaches both workers", 20)
+
+    def refused(put: Callable[[], None], reason: str, why: str) -> None:
+        before = [siege.route(side, topic, "out")["drops"][reason] for side in sides]
+        put()
+        for side, count in zip(sides, before, strict=True):
+            assert why in siege.route(side, topic, "out", **{reason: count + 1})["error"]
+
+    refused(lambda: session.put(key, good), "bad", "without the attachment")
+    refused(lambda: session.put(key, good, attachment=b"nonsense"), "bad", "attachment of 8 bytes")
+    refused(lambda: session.put(key, good, attachment=b"\xff" * 33), "bad", "GID of 255 bytes")
+    for junk in (b"", b"\0\1\0\0\xff\xff\xff\x7f", good[:-2], b"\0\0\0\0\0\0\0\5good\0", good + bytes(100)):
+        refused(lambda junk=junk: siege.zenoh.publish_raw(out, junk), "bad", "std_msgs/msg/String")  # type: ignore[misc]
+    huge = bytes(64 * MEGABYTE)
+    attached = attachment.pack(1, 1, bytes(16))
+    refused(lambda: session.put(key, huge, attachment=attached), "large", f"{64 * MEGABYTE} bytes")
+    siege.zenoh.publish(out, {"data": "good"})
+    until(lambda: {"data": "good"} in siege.ros1.wait(heard, 100_000, 0.2), "a good one crosses")
+
+
+def test_tokens_of_nonsense_on_the_hub(siege: Siege) -> None:
+    session = siege.session()
+    good = topic_token(siege, "/tokens", "std_msgs::msg::dds_::String_", "RIHS01_" + "ab" * 32)
+    tokens = [
+        session.liveliness().declare_token(key)
+        for key in (
+            "@ros2_lv/0/x",
+            "@ros2_lv/0/1/2/3/XX/%/%/a/%t/a::msg::dds_::B_/RIHS01_00/::,1:,:,:,,",
+            "@ros2_lv/0/1/2/3/MP/%/%/a/%t/no type/RIHS01_00/::,1:,:,:,,",
+            "@ros2_lv/0/1/2/3/MP/%/%/a/%t/a::msg::dds_::B_/RIHS01_00/no:qos",
+            "@ros2_lv/0/" + "/".join("x" * 500 for _ in range(11)),
+            "@midspan/0/origin/x",
+            good.replace("%tokens", "%a b%é"),
+            good.replace("%tokens", "%%%"),
+            good.replace("ab" * 32, "nonsense"),
+            topic_token(siege, "/undefined", "nowhere_msgs::msg::dds_::Nothing_", "RIHS01_" + "ab" * 32),
+            good,
+        )
+    ]
+    assert "RIHS01_abab" in siege.refusal("/tokens")["why"]
+    assert "nowhere_msgs" in siege.refusal("/undefined")["why"]
+    for side in ("ros1", "ros2"):
+        assert any("liveliness tokens on the hub were left out" in w for w in siege.deployment.worker(side)["warnings"])
+    for token in tokens:
+        token.undeclare()  # type: ignore[no-untyped-call]
+    gone = lambda: not siege.deployment.explain("/undefined")  # noqa: E731
+    until(gone, "what is gone is forgotten", 20, every=0.1)
+
+
+def topic_token(siege: Siege, topic: str, dds_type: str, type_hash: str) -> str:
+    return f"@ros2_lv/0/{'7' * 32}/0/9/MP/%/%/raw/{topic.replace('/', '%')}/{dds_type}/{type_hash}/::,7:,:,:,,"
+
+
+def test_questions_of_nonsense(siege: Siege) -> None:
+    """The control plane answers each with an error, and the next good one as ever."""
+    session = siege.session()
+    for payload in (
+        b"",
+        b"nonsense",
+        b"[" * 5000,
+        b"[]",
+        b"\xff\xff",
+        b'{"topic": ' + b"1" * 5000 + b"}",
+        bytes(2 * MEGABYTE),
+    ):
+        for verb in ("status", "explain", "tap", "type"):
+            replies = list(session.get(f"@midspan/0/*/*/{verb}", payload=payload, timeout=5.0))
+            assert all(
+                "value" in (said := json.loads(r.ok.payload.to_bytes())) or said["error"] for r in replies if r.ok
+            )
+    assert {w.get("side") for w in siege.deployment.status()} >= {"ros1", "ros2"}
