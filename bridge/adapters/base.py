@@ -186,6 +186,13 @@ class Edge(ABC):
         """
         return True
 
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002 - most sides take every topic
+        """Why a hub topic has no place on this side by its very nature, "" where it has; it is then left out quietly.
+
+        ``topic`` is its name on the side.
+        """
+        return ""
+
     def side_name(self, hub_name: str) -> str:
         """The side's spelling of a hub topic name."""
         return hub_name

@@ -6,7 +6,16 @@ import difflib
 import re
 from collections.abc import Iterable
 
-SIDES = {"ros1": "ROS 1", "ros2": "ROS 2", "yarp": "YARP", "zenoh": "zenoh", "router": "router"}
+SIDES = {
+    "ros1": "ROS 1",
+    "ros2": "ROS 2",
+    "yarp": "YARP",
+    "zenoh": "zenoh",
+    "zenoh_ros2dds": "ros2dds keys",
+    "zenoh_ros1": "ros1 keys",
+    "zenoh_json": "JSON keys",
+    "router": "router",
+}
 """What people call each side."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")

@@ -90,6 +90,7 @@ WORKERS = (
     WorkerKind("router", "bridge.hub.router:RouterWorker", outlives=True),
     _side("ros1"),
     _side("ros2"),
+    _side("zenoh"),
 )
 
 

@@ -77,7 +77,11 @@ class Outward:
                 continue
             decision = self._decide(rules, endpoint.origin, key)
             side_topic = decision.name if decision.name != key.topic else self._joint.edge.side_name(key.topic)
-            if decision.allowed:
+            placeless = self._joint.edge.why_not(side_topic, key.type_name)
+            if decision.allowed and placeless:
+                refused.append(endpoint)
+                verdicts.append(Verdict.placeless(side_topic, key.topic, key.type_name, placeless))
+            elif decision.allowed:
                 by_name.setdefault(side_topic, (decision, []))[1].append(endpoint)
             else:
                 refused.append(endpoint)

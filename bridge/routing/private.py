@@ -20,7 +20,8 @@ _PRIVATE: dict[str, tuple[tuple[re.Pattern[str], str], ...]] = {
         (re.compile(r".*/bond"), "bond, a node's private life sign"),
     ),
 }
-_PRIVATE["zenoh"] = _PRIVATE["ros2"]
+_PRIVATE["zenoh"] = _PRIVATE["zenoh_ros2dds"] = _PRIVATE["ros2"]
+_PRIVATE["zenoh_ros1"] = _PRIVATE["ros1"]
 
 
 def why_private(side: str, topic: str) -> str:

@@ -40,6 +40,11 @@ class Verdict:
         return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
 
     @classmethod
+    def placeless(cls, topic: str, hub_topic: str, type_name: str, why: str) -> Self:
+        """A hub topic that the side has no place for."""
+        return cls("out", topic, hub_topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
+
+    @classmethod
     def no_publisher(cls, topic: str, type_name: str, nodes: str) -> Self:
         """A topic with subscriptions only."""
         why = f"nobody publishes it; {nodes} would listen"

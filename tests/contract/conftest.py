@@ -16,9 +16,16 @@ from tests.contract.hubside import HubSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
+from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
 
-SIDES: dict[str, Callable[..., Side]] = {"fake": FakeSide, "ros1": Ros1Side, "ros2": Ros2Side}
+SIDES: dict[str, Callable[..., Side]] = {
+    "fake": FakeSide,
+    "ros1": Ros1Side,
+    "ros2": Ros2Side,
+    "zenoh_ros2dds": Ros2ddsSide,
+    "zenoh_ros1": Ros1KeysSide,
+}
 
 
 @pytest.fixture

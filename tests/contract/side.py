@@ -48,6 +48,7 @@ class Side(ABC):
     name: ClassVar[str]
     has_custom_types: ClassVar[bool] = True
     can_restart_network: ClassVar[bool] = True
+    tells_latching: ClassVar[bool] = True
 
     def __init__(self) -> None:
         self._names = itertools.count(1)

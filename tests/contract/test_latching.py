@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.contract.hubside import HubSide
 from tests.contract.side import Bridge, Side
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
+
+
+@pytest.fixture(autouse=True)
+def _told(side: Side) -> None:
+    if not side.tells_latching:
+        pytest.skip("this side does not tell what is latched; tests/adapters/zenoh says what becomes of it")
 
 
 def test_three_latched_publishers_to_the_hub(side: Side, bridge: Bridge, far: HubSide) -> None:

@@ -1,0 +1,181 @@
+"""Midspan's sessions on one network of keys: who they are, and what they announce.
+
+Each of our sessions declares the liveliness token ``@midspan/keys/<zid>/<side>/<scope>`` and publishes its records on
+the same key. The scope tells networks of one dialect apart that share a zenoh network: another namespace, other keys.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import quote
+
+import zenoh
+
+from bridge.adapters.base import Sighting
+from bridge.adapters.zenoh.mark import is_marked
+
+SPACE = "@midspan/keys"
+DISCOVERY_SECONDS = 1.5
+"""How long a session that was never seen here counts as being on our network: its token may be on its way."""
+
+_KEPT = 64
+_MAX_RECORD = 1 << 20
+_MAX_UNSURE = 4096
+_LOOK_SECONDS = 5.0
+
+
+class Neighbours:
+    """Follows Midspan's other sessions of our side and scope.
+
+    Args:
+        session: our session, marked.
+        side: the side's name.
+        scope: what tells this network from others of the side on the same zenoh network.
+        past: ids of this daemon's own past sessions.
+        graph_changed: called when what `is_own` says may have changed.
+        presence_changed: called when a neighbour came, left or announced something.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        side: str,
+        scope: str,
+        past: frozenset[str],
+        graph_changed: Callable[[], None],
+        presence_changed: Callable[[], None],
+    ) -> None:
+        self._session, self._past = session, past
+        self._graph_changed, self._presence_changed = graph_changed, presence_changed
+        self._own = str(session.zid())
+        self._place = f"{side}/{quote(scope, safe='') or '%'}"
+        self._lock = threading.Lock()
+        self._seen: dict[str, Sighting] = {}
+        self._unsure: dict[str, float] = {}
+        self._looking_since: float | None = None
+        self._looked_since = 0.0
+        space = f"{SPACE}/*/{self._place}"
+        self._publisher = session.declare_publisher(
+            f"{SPACE}/{self._own}/{self._place}",
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._subscribers = [
+            session.liveliness().declare_subscriber(
+                space, zenoh.handlers.Callback(self._on_token, indirect=False), history=True
+            ),
+            session.declare_subscriber(
+                space,
+                zenoh.handlers.Callback(self._on_record, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            ),
+        ]
+        self._token = session.liveliness().declare_token(f"{SPACE}/{self._own}/{self._place}")
+
+    def is_own(self, zid: str) -> bool:
+        """Whether the session of a hub origin is on this very network."""
+        if zid == self._own or zid in self._past or zid in self._seen:
+            return True
+        now = time.monotonic()
+        with self._lock:
+            if len(self._unsure) > _MAX_UNSURE:
+                self._unsure.clear()
+            return now - self._unsure.setdefault(zid, now) < DISCOVERY_SECONDS
+
+    def tick(self, now: float) -> None:
+        """Tell when the moment of an unknown session is over."""
+        with self._lock:
+            over = [z for z, since in self._unsure.items() if DISCOVERY_SECONDS <= now - since < DISCOVERY_SECONDS + 1]
+        if over:
+            self._graph_changed()
+
+    # -- presence ------------------------------------------------------------------------------------------------------
+
+    def announce(self, record: bytes) -> None:
+        """Send a record to all neighbours."""
+        self._publisher.put(record)
+
+    def sightings(self) -> list[Sighting]:
+        """The neighbours that are there."""
+        with self._lock:
+            return [sighting for zid, sighting in self._seen.items() if zid not in self._past]
+
+    def settled(self, since: float) -> bool:
+        """Whether all that were there at ``since`` are seen; asks the network where that is not known yet."""
+        with self._lock:
+            if self._looked_since >= since:
+                return True
+            now = time.monotonic()
+            if self._looking_since is not None and now - self._looking_since < _LOOK_SECONDS:
+                return False
+            self._looking_since = now
+        self._session.liveliness().get(
+            f"{SPACE}/*/{self._place}",
+            zenoh.handlers.Callback(self._on_found, lambda: self._looked(now), indirect=False),
+            timeout=_LOOK_SECONDS,
+        )
+        return False
+
+    def _on_found(self, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            self._see(_zid(reply.ok), None)
+
+    def _looked(self, since: float) -> None:
+        with self._lock:
+            self._looked_since, self._looking_since = max(since, self._looked_since), None
+        self._presence_changed()
+
+    def _on_token(self, token: zenoh.Sample) -> None:
+        zid = _zid(token)
+        if token.kind == zenoh.SampleKind.PUT:
+            self._see(zid, None)
+            return
+        with self._lock:
+            gone = self._seen.pop(zid, None)
+        if gone is not None:
+            self._graph_changed()
+            self._presence_changed()
+
+    def _on_record(self, sample: zenoh.Sample) -> None:
+        if len(sample.payload) <= _MAX_RECORD:
+            self._see(_zid(sample), sample.payload.to_bytes())
+
+    def _see(self, zid: str, record: bytes | None) -> None:
+        if zid == self._own or not is_marked(zid):
+            return
+        with self._lock:
+            known = self._seen.get(zid)
+            if known is not None and record is None:
+                return
+            self._seen[zid] = Sighting(zid, record, time.monotonic())
+        if known is None:
+            self._graph_changed()
+        self._presence_changed()
+
+    def close(self) -> None:
+        """Leave."""
+        withdraw = [self._token.undeclare, self._publisher.undeclare, *(s.undeclare for s in self._subscribers)]
+        for undeclare in withdraw:
+            with contextlib.suppress(zenoh.ZError):
+                undeclare()  # type: ignore[no-untyped-call]
+
+
+def remember(own: str, file: Path) -> frozenset[str]:
+    """Add our session's id to those kept in a file; returns those that were there."""
+    try:
+        past = file.read_text().split()[-_KEPT:]
+    except OSError:
+        past = []
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("\n".join([*past, own]) + "\n")
+    return frozenset(past)
+
+
+def _zid(sample: zenoh.Sample) -> str:
+    return str(sample.key_expr).removeprefix(SPACE + "/").partition("/")[0]

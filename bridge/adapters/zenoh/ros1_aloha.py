@@ -1,0 +1,158 @@
+"""How bridges of the ros1 dialect tell each other their topics: beacons, in the manner of ALOHA.
+
+Who has a topic puts an empty sample on its discovery key each second, and is taken for gone after three seconds'
+silence. Who hears another's beacon on the same key may fall silent, and speaks again when the other one does not
+(zenoh-plugin-ros1 of May 2025, ``aloha_declaration.rs``, ``aloha_subscription.rs``). So that no native bridge falls
+silent because of us, which would look as if it were gone, we always give way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import zenoh
+
+from bridge.adapters.base import Kind
+from bridge.adapters.zenoh.mark import is_marked, sender
+from bridge.adapters.zenoh.ros1_keys import Topic, all_discovery, discovery_key, parse
+from bridge.hub.errors import WireError
+
+_log = logging.getLogger(__name__)
+
+PERIOD = 1.0
+"""Seconds between beacons."""
+
+_LOST = 4
+"""Periods of silence after which a topic is gone: one more than the plugin's, as two may have met at the start."""
+
+_SOON = 0.5
+"""Periods within which a second beacon on one key is another bridge's."""
+
+_MAX_TOPICS = 20_000
+
+
+class _Beacon:
+    """One of our own topics."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self.users = 0
+        self.due = 0.0
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.BACKGROUND,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+
+    def send(self, now: float) -> None:
+        self.due = now + PERIOD
+        self._publisher.put(b"", source_info=zenoh.SourceInfo(self._publisher.id, 0))
+
+    def close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Aloha:
+    """Hears the beacons of native bridges and sends our own. Safe to use from any thread.
+
+    Args:
+        session: the dialect's session.
+        namespace: bridge namespace.
+        changed: called after a topic came or went.
+        newcomer: called when a bridge begins to tell that it subscribes, with the topic's name and whether it is the
+            first one.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, namespace: str, changed: Callable[[], None], newcomer: Callable[[str, bool], None]
+    ) -> None:
+        self._session, self._namespace = session, namespace
+        self._changed, self._newcomer = changed, newcomer
+        self._lock = threading.Lock()
+        self._heard: dict[tuple[Kind, Topic], float] = {}
+        self._own: dict[tuple[Kind, Topic], _Beacon] = {}
+        self._refused = 0
+        self._subscriber = session.declare_subscriber(
+            all_discovery(namespace),
+            zenoh.handlers.Callback(self._on_beacon, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+
+    def topics(self) -> list[tuple[Kind, Topic]]:
+        """What native bridges have now."""
+        with self._lock:
+            return list(self._heard)
+
+    def tell(self, kind: Kind, topic: Topic) -> Callable[[], None]:
+        """Tell of a topic of ours until the returned function is called."""
+        with self._lock:
+            beacon = self._own.get((kind, topic))
+            if beacon is None:
+                beacon = _Beacon(self._session, discovery_key(kind, topic, self._namespace))
+                self._own[kind, topic] = beacon
+            beacon.users += 1
+            if (kind, topic) not in self._heard and beacon.due == 0.0:
+                beacon.send(time.monotonic())
+
+        def withdraw() -> None:
+            with self._lock:
+                beacon.users -= 1
+                if beacon.users == 0:
+                    self._own.pop((kind, topic)).close()
+
+        return withdraw
+
+    def tick(self, now: float) -> None:
+        """Send the beacons that are due, and forget who fell silent."""
+        with self._lock:
+            gone = [place for place, heard in self._heard.items() if now - heard > _LOST * PERIOD]
+            for place in gone:
+                del self._heard[place]
+            for place, beacon in self._own.items():
+                if now >= beacon.due and place not in self._heard:
+                    beacon.send(now)
+        if gone:
+            self._changed()
+
+    def warnings(self) -> list[str]:
+        """How many beacons could not be read."""
+        return [f"{self._refused} beacons of ros1 bridges are left out: see the log"] if self._refused else []
+
+    def close(self) -> None:
+        """Fall silent."""
+        with contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        with self._lock:
+            beacons, self._own = list(self._own.values()), {}
+        for beacon in beacons:
+            beacon.close()
+
+    def _on_beacon(self, sample: zenoh.Sample) -> None:
+        if sample.kind != zenoh.SampleKind.PUT or is_marked(sender(sample)):
+            return
+        key = str(sample.key_expr)
+        try:
+            place = parse(key)
+        except WireError as err:
+            level = logging.DEBUG if self._refused else logging.WARNING
+            self._refused += 1
+            _log.log(level, "beacon left out, %s: %.200s", err, key)
+            return
+        if place is None:
+            return
+        now = time.monotonic()
+        with self._lock:
+            before = self._heard.get(place)
+            if before is None and len(self._heard) >= _MAX_TOPICS:
+                return
+            self._heard[place] = now
+        if before is None:
+            self._changed()
+        if place[0] is Kind.SUBSCRIPTION and (before is None or now - before < _SOON * PERIOD):
+            self._newcomer(place[1].name, before is None)

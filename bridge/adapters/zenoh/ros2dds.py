@@ -1,0 +1,192 @@
+"""The edge of the ros2dds dialect: keys as zenoh-plugin-ros2dds makes them.
+
+A topic's key is its ROS 2 name without the leading slash, behind the namespace of its bridge; the payload is CDR,
+without an attachment. Transient-local publishers are zenoh's advanced publishers. Topics are told by liveliness
+tokens (`bridge.adapters.zenoh.ros2dds_tokens`); those of actions are not told (zenoh-plugin-ros2dds of August 2026:
+``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import ClassVar
+
+import zenoh
+
+from bridge.adapters.base import Deliver, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
+from bridge.adapters.zenoh.edge import KeyEdge, configured
+from bridge.adapters.zenoh.ros2dds_graph import Graph, endpoint_id
+from bridge.adapters.zenoh.ros2dds_publisher import Announcer, Ros2ddsPublisher
+from bridge.adapters.zenoh.ros2dds_subscription import LatchedSubscription
+from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.config.model import Config, Dialect
+from bridge.hub.qos import Qos
+from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+from bridge.routing.route import joint_qos
+from bridge.routing.static_tf import TF_TYPE
+
+_ACTION = re.compile(r".*/_action/(?:feedback|status)")
+PLAIN = "plain program"
+"""Who publishes on a key that the configuration names and no bridge announces."""
+
+
+class Ros2ddsEdge(KeyEdge):
+    """Joins the bridges of the ros2dds dialect; ``json_keys`` are keys of this network that carry JSON."""
+
+    side: ClassVar[str] = "zenoh_ros2dds"
+
+    def __init__(
+        self, config: Config, dialect: Dialect, registry: Registry, state: Path, json_keys: frozenset[str] = frozenset()
+    ) -> None:
+        namespace = (dialect.namespace or "/").strip("/")
+        super().__init__(config, dialect, registry, state, namespace)
+        self._prefix = f"{namespace}/" if namespace else ""
+        self._json_keys = json_keys
+        self._plain = {self._prefix + str(key.topic)[1:] for key in dialect.keys}
+        self._graph: Graph | None = None
+        self._announcer: Announcer | None = None
+
+    def opened(self, session: zenoh.Session) -> None:
+        """See `KeyEdge.opened`."""
+        self._announcer = Announcer(session)
+        self._graph = Graph(session, self._prefix, self._graph_changed)
+
+    def closing(self) -> None:
+        """See `KeyEdge.closing`."""
+        if self._graph is not None and self._announcer is not None:
+            self._graph.close()
+            self._announcer.close()
+
+    # -- the graph -----------------------------------------------------------------------------------------------------
+
+    def _graph_changed(self) -> None:
+        graph = self._graph
+        if graph is not None:
+            with self._lock:
+                latched = [part for part in self._parts if isinstance(part, LatchedSubscription)]
+            for subscription in latched:
+                subscription.ask_for(_told_depth(graph, subscription.key))
+        self.changed()
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """What bridges announce, and the publishers that the configuration names."""
+        told = [] if self._graph is None else self._graph.endpoints()
+        return [e for e in told if self._key(e.topic) not in self._json_keys] + self._plain_endpoints()
+
+    def _plain_endpoints(self) -> list[Endpoint]:
+        def endpoint(topic: str, known: SideType) -> Endpoint:
+            id_ = endpoint_id(PLAIN, self._key(topic))
+            return Endpoint(id_, Kind.PUBLISHER, topic, known.name, Qos(), MadeBy.NATIVE, PLAIN, known.type_id)
+
+        return configured(self.dialect, self.registry.ros2, endpoint)
+
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
+        """A key cannot carry CDR and JSON at once."""
+        key = self._key(topic)
+        return f"the key {key} carries JSON by zenoh.dialects" if key in self._json_keys else ""
+
+    def warnings(self) -> list[str]:
+        """Tokens left out, and topics of bridges on keys that carry JSON here."""
+        if self._graph is None:
+            return []
+        taken = {self._key(e.topic) for e in self._graph.endpoints()} & self._json_keys
+        return self._graph.warnings() + [
+            f"{key}: a ros2dds bridge uses this key, which carries JSON by zenoh.dialects; give one another name"
+            for key in sorted(taken)
+        ]
+
+    def _key(self, topic: str) -> str:
+        return self._prefix + topic[1:]
+
+    # -- types ---------------------------------------------------------------------------------------------------------
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """The same bytes, checked: plain zenoh programs may put anything on a key."""
+        return self._same(endpoint.type, endpoint.type_id)
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """The same bytes, checked: the plugin writes them to DDS as they are."""
+        return self._same(type_name, type_hash)
+
+    def _same(self, type_name: str, type_hash: str) -> Conversion:
+        known = self.registry.ros2(type_name)
+        if type_hash and type_hash != known.type_id:
+            raise MessageTypeError(
+                f"{type_name}: its publisher has {type_hash}, this machine's definition has {known.type_id}",
+                "install the same version of the message package on both, or give its .msg folder in types.folders",
+            )
+        return Conversion(known, known, self.registry.hub_check(type_name))
+
+    # -- endpoints of ours ---------------------------------------------------------------------------------------------
+
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:
+        """Hear a key; the token that asks for it has the QoS of those who publish there."""
+        graph, announcer = self._graph, self._announcer
+        assert graph is not None
+        assert announcer is not None
+        key = self._key(topic)
+        told = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
+        withdraw = self._tell(Kind.SUBSCRIPTION, key, side_type, joint_qos(told) if told else Qos())
+
+        def closed(part: KeySubscription) -> None:
+            withdraw()
+            self.drop(part)
+
+        def source_of(sample: zenoh.Sample) -> str:
+            return self._source_of(graph, key, side_type, sample)
+
+        inbox = self.inbox(deliver, qos)
+        if qos.latched:
+            static = side_type.name == TF_TYPE
+
+            def depth(source: str) -> int:
+                return qos.depth if static else _depth_of(graph, key, source)
+
+            wanted = qos.depth if static else _told_depth(graph, key)
+            part: KeySubscription = LatchedSubscription(self.session, key, inbox, source_of, closed, depth, wanted)
+        else:
+            part = KeySubscription(self.session, key, inbox, source_of, closed)
+        self.keep(part)
+        return part
+
+    def _source_of(self, graph: Graph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
+        """The endpoint that a sample is from.
+
+        A bridge's time stamp tells its session; a plain program's tells its own or a router's. What is nobody's that is
+        announced or configured counts as the key's first publisher of this type.
+        """
+        bridge, token = graph.who(key, sample)
+        if token is not None:
+            return endpoint_id(token.zid, key) if token.type == side_type.name else ""
+        if key in self._plain:
+            return endpoint_id(PLAIN, key)
+        if bridge:
+            return endpoint_id(bridge, key)  # its token for this key is on the way
+        return next((endpoint_id(t.zid, key) for t in graph.publishers(key) if t.type == side_type.name), "")
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Publish on a key, and tell the bridges."""
+        key = self._key(topic)
+        withdraw = self._tell(Kind.PUBLISHER, key, side_type, qos)
+        publisher = Ros2ddsPublisher(self.session, key, qos, withdraw, self.drop)
+        self.keep(publisher)
+        return publisher
+
+    def _tell(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
+        if _ACTION.fullmatch(key):
+            return lambda: None
+        assert self._announcer is not None
+        return self._announcer.tell(kind, key, side_type, qos)
+
+
+def _told_depth(graph: Graph, key: str) -> int:
+    return max((token.qos.depth for token in graph.publishers(key)), default=1)
+
+
+def _depth_of(graph: Graph, key: str, source: str) -> int:
+    depths = (token.qos.depth for token in graph.publishers(key) if endpoint_id(token.zid, key) == source)
+    return next(depths, 1)

@@ -1,0 +1,154 @@
+"""A publisher in the ros2dds dialect, and the tokens by which its bridges learn of our topics."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+import zenoh
+from zenoh import ext
+
+from bridge.adapters.base import Kind
+from bridge.adapters.zenoh.ros2dds_tokens import Token, alive_key, token_key
+from bridge.adapters.zenoh.sink import PlainSink, priority
+from bridge.hub.qos import Qos
+from bridge.messages.conversion import SideType
+
+
+class _Sink(Protocol):
+    def put(self, payload: bytes) -> None: ...
+    def close(self) -> None: ...
+
+
+class _LatchedSink:
+    """zenoh's advanced publisher: keeps the last samples and gives them to late joiners, as the plugin's own do.
+
+    Sample miss detection has zenoh put our session's id on each sample, and tells several publishers of one key apart.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos) -> None:
+        self._publisher = ext.declare_advanced_publisher(
+            session,
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority(qos),
+            allowed_destination=zenoh.Locality.REMOTE,
+            cache=ext.CacheConfig(max(qos.depth, 1)),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+            publisher_detection=True,
+        )
+
+    def put(self, payload: bytes) -> None:
+        self._publisher.put(payload)
+
+    def close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Announcer:
+    """Our own tokens: one for each key and kind, with the QoS of the most that we offer or ask for there.
+
+    The plugin takes up a route when the first token of a session for a key comes, and drops it when any of them goes;
+    so the old token goes before one with another QoS comes (its ``src/routes_mgr.rs``).
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._zid = str(session.zid())
+        self._lock = threading.Lock()
+        self._wanted: dict[tuple[Kind, str], list[Token]] = {}
+        self._told: dict[tuple[Kind, str], tuple[Token, zenoh.LivelinessToken]] = {}
+        self._alive = session.liveliness().declare_token(alive_key(self._zid))
+
+    def tell(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
+        """Announce a topic until the returned function is called."""
+        token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
+        place = kind, key
+        with self._lock:
+            self._wanted.setdefault(place, []).append(token)
+            self._settle(place)
+
+        def withdraw() -> None:
+            with self._lock:
+                self._wanted[place].remove(token)
+                self._settle(place)
+
+        return withdraw
+
+    def _settle(self, place: tuple[Kind, str]) -> None:
+        wanted = self._wanted[place]
+        token = max(wanted, key=lambda t: (t.qos.latched, t.qos.depth)) if wanted else None
+        told = self._told.get(place)
+        if told is not None and told[0] == token:
+            return
+        if told is not None:
+            del self._told[place]
+            told[1].undeclare()  # type: ignore[no-untyped-call]
+        if token is None:
+            del self._wanted[place]
+        else:
+            self._told[place] = token, self._session.liveliness().declare_token(token_key(token))
+
+    def close(self) -> None:
+        """Leave."""
+        with self._lock, contextlib.suppress(zenoh.ZError):
+            self._alive.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Ros2ddsPublisher:
+    """Publishes what comes from the hub; latched: an advanced publisher for each source, which goes with it."""
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        qos: Qos,
+        withdraw: Callable[[], None],
+        closed: Callable[[Ros2ddsPublisher], None],
+    ) -> None:
+        self._session, self._key, self._qos = session, key, qos
+        self._withdraw, self._closed = withdraw, closed
+        self._lock = threading.Lock()
+        self._open = True
+        self._sinks: dict[str, _Sink] = {}
+
+    @property
+    def dropped(self) -> int:
+        """Nothing: zenoh does not tell what a congested link dropped."""
+        return 0
+
+    def send(self, payload: bytes, source: str) -> None:
+        """See `EdgePublisher.send`."""
+        name = source if self._qos.latched else ""
+        with self._lock:
+            if not self._open:
+                return
+            sink = self._sinks.get(name)
+            if sink is None:
+                sink = self._sinks[name] = self._make()
+            sink.put(payload)
+
+    def _make(self) -> _Sink:
+        make = _LatchedSink if self._qos.latched else PlainSink
+        return make(self._session, self._key, self._qos)
+
+    def forget(self, source: str) -> None:
+        """See `EdgePublisher.forget`."""
+        with self._lock:
+            sink = self._sinks.pop(source, None) if self._qos.latched else None
+        if sink is not None:
+            sink.close()
+
+    def close(self) -> None:
+        """Give the publishers back. Safe to call twice."""
+        with self._lock:
+            opened, self._open = self._open, False
+            sinks, self._sinks = list(self._sinks.values()), {}
+        if opened:
+            self._withdraw()
+            for sink in sinks:
+                sink.close()
+            self._closed(self)

@@ -1,0 +1,120 @@
+"""The contract suite's zenoh dialects: bridges as zenoh's plugins are, see `tests.support.zenoh_programs`.
+
+The adapter runs in the test's process, since it needs no middleware but zenoh.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.crossing import Crossing
+from bridge.adapters.worker import make_edges
+from bridge.adapters.zenoh import ros1_aloha
+from bridge.config.model import Config
+from bridge.messages.registry import Registry
+from tests.contract.side import CUSTOM_FOLDER, Side
+from tests.support.hub import HubNetwork
+from tests.support.rosbags_messages import Messages
+from tests.support.wait import until
+from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router
+
+PERIOD = 0.4
+"""Seconds between beacons of the ros1 dialect, for all: the plugin's second makes the suite slow."""
+
+
+class ZenohBridge:
+    """The zenoh worker's crossings, in this process."""
+
+    def __init__(self, config: Config) -> None:
+        registry = Registry(folders=list(config.types.folders))
+        self._folder = tempfile.TemporaryDirectory()
+        edges = make_edges("zenoh", config, registry, Path(self._folder.name))
+        self.crossings = [
+            Crossing(name, edge, config, registry, self._failed, diagnostics=False) for name, edge in edges.items()
+        ]
+        until(lambda: all(c.health().state == "running" for c in self.crossings), "the dialects are joined")
+
+    def _failed(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+    def reload(self, config: Config) -> None:
+        for crossing in self.crossings:
+            crossing.reload(config.routing)
+
+    def stop(self) -> None:
+        for crossing in self.crossings:
+            crossing.stop()
+        self._folder.cleanup()
+
+    def kill(self) -> None:
+        self.stop()
+
+
+class ZenohSide(Side):
+    """A zenoh network beside the hub's, with a router of its own."""
+
+    def __init__(self, _hubs: HubNetwork) -> None:
+        super().__init__()
+        self._router = Router()
+
+    def bridge(self, config: Config) -> ZenohBridge:
+        bridge = ZenohBridge(config)
+        self._open.append(bridge)
+        return bridge
+
+    def restart_network(self) -> None:
+        self._router.stop()
+        self._router.start()
+
+    def dialect(self) -> dict[str, Any]:
+        """The dialect's entry in the configuration."""
+        raise NotImplementedError
+
+    def config(self) -> dict[str, Any]:
+        return {"zenoh": {"router": self._router.endpoint, "dialects": [self.dialect()]}}
+
+    def close(self) -> None:
+        super().close()
+        self._router.stop()
+
+
+class Ros2ddsSide(ZenohSide):
+    """Bridges of the ros2dds dialect."""
+
+    name = "zenoh_ros2dds"
+
+    def peer(self) -> Ros2ddsBridge:
+        peer = Ros2ddsBridge(self._router.endpoint, Messages(ros1=False, folders=(CUSTOM_FOLDER,)))
+        self._open.append(peer)
+        return peer
+
+    def dialect(self) -> dict[str, Any]:
+        return {"dialect": "ros2dds"}
+
+
+class Ros1KeysSide(ZenohSide):
+    """Bridges of the ros1 dialect, which does not tell what is latched."""
+
+    name = "zenoh_ros1"
+    tells_latching = False
+
+    def __init__(self, hubs: HubNetwork) -> None:
+        super().__init__(hubs)
+        self._patch = pytest.MonkeyPatch()
+        self._patch.setattr(ros1_aloha, "PERIOD", PERIOD)
+
+    def peer(self) -> Ros1Bridge:
+        peer = Ros1Bridge(self._router.endpoint, Messages(ros1=True, folders=(CUSTOM_FOLDER,)), period=PERIOD)
+        self._open.append(peer)
+        return peer
+
+    def dialect(self) -> dict[str, Any]:
+        return {"dialect": "ros1", "latched": ["/octomap_binary", "/*/tf_static"]}
+
+    def close(self) -> None:
+        super().close()
+        self._patch.undo()

@@ -1,0 +1,344 @@
+"""Programs on a plain zenoh network, in the test's own process: bridges as the plugins of zenoh are, and JSON programs.
+
+Written from the plugins' sources (zenoh-plugin-ros2dds of August 2026: ``liveliness_mgt.rs``, ``route_publisher.rs``,
+``route_subscriber.rs``; zenoh-plugin-ros1 of May 2025: ``topic_utilities.rs``, ``discovery.rs``,
+``aloha_declaration.rs``), with nothing of Midspan's own code, messages included. A peer is a bridge with ROS nodes
+behind it; these hear each other as ROS nodes do. See `tests.support.peer` for the commands.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import random
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from tests.support.ports import free_port
+from tests.support.rosbags_messages import Messages
+
+
+def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Session:
+    """A session that joins the router at an endpoint; the plugins' bridges always time-stamp."""
+    tree = {
+        "mode": mode,
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "listen": {"endpoints": ["tcp/127.0.0.1:0"]} if mode == "peer" else {},
+        "connect": {"endpoints": [endpoint]},
+        **more,
+    }
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+
+
+class Router:
+    """A zenoh router on a free port of loopback."""
+
+    def __init__(self) -> None:
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._session: zenoh.Session | None = None
+        self.start()
+
+    def start(self) -> None:
+        tree = {
+            "mode": "router",
+            "scouting": {"multicast": {"enabled": False}},
+            "listen": {"endpoints": [self.endpoint]},
+        }
+        self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(tree)))
+
+    def stop(self) -> None:
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+
+class Program:
+    """What all of these programs have in common: numbered endpoints, and what each heard."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.session = open_session(endpoint)
+        self.zid = str(self.session.zid())
+        self._ids = itertools.count(1)
+        self._things: dict[int, tuple[str, str, list[Any]]] = {}
+        self._puts: dict[int, Callable[[bytes], None]] = {}
+        self.heard: dict[int, list[Any]] = {}
+        self._changed = threading.Condition()
+
+    def encode(self, type_: str, message: dict[str, Any]) -> bytes:
+        raise NotImplementedError
+
+    def decode(self, type_: str, data: bytes) -> Any:
+        raise NotImplementedError
+
+    def add(self, topic: str, type_: str, parts: list[Any], put: Callable[[bytes], None] | None = None) -> int:
+        number = next(self._ids)
+        self._things[number] = (topic, type_, parts)
+        if put is not None:
+            self._puts[number] = put
+        return number
+
+    def hear(self, number: int, type_: str, data: bytes) -> None:
+        with self._changed:
+            self.heard[number].append(self.decode(type_, data))
+            self._changed.notify_all()
+
+    def listener(self, topic: str, type_: str) -> tuple[int, Callable[[zenoh.Sample], None]]:
+        number = self.add(topic, type_, [])
+        self.heard[number] = []
+        return number, lambda sample: self.hear(number, type_, sample.payload.to_bytes())
+
+    def publish(self, endpoint: int, message: dict[str, Any]) -> None:
+        topic, type_, _ = self._things[endpoint]
+        data = self.encode(type_, message)
+        self._puts[endpoint](data)
+        for number in [n for n in self.heard if self._things.get(n, ("",))[0] == topic]:
+            self.hear(number, type_, data)
+
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[Any]:
+        with self._changed:
+            self._changed.wait_for(lambda: len(self.heard[endpoint]) >= count, seconds)
+            return list(self.heard[endpoint])
+
+    def drop(self, endpoint: int) -> None:
+        for part in self._things.pop(endpoint)[2]:
+            part.undeclare()
+
+    def stop(self, seconds: float = 6.0) -> int:
+        session, self.session = self.session, None
+        if session is not None:
+            session.close()
+        return int(seconds * 0)
+
+
+class Ros2ddsBridge(Program):
+    """A zenoh-bridge-ros2dds."""
+
+    def __init__(self, endpoint: str, messages: Messages, namespace: str = "") -> None:
+        super().__init__(endpoint)
+        self._messages, self._namespace = messages, namespace
+        self._alive = self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv")
+        self._tokens: set[str] = set()
+        self._watch = self.session.liveliness().declare_subscriber(
+            "@/*/@ros2_lv/**", zenoh.handlers.Callback(self._on_token, indirect=False), history=True
+        )
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._tokens.add(key)
+        else:
+            self._tokens.discard(key)
+
+    def encode(self, type_: str, message: dict[str, Any]) -> bytes:
+        return self._messages.encode(type_, message)
+
+    def decode(self, type_: str, data: bytes) -> Any:
+        return self._messages.decode(type_, data)
+
+    def key(self, topic: str) -> str:
+        return f"{self._namespace}/{topic[1:]}" if self._namespace else topic[1:]
+
+    def token(self, letters: str, topic: str, type_: str, *, latched: bool, depth: int, best_effort: bool) -> str:
+        """The token of a topic, byte for byte."""
+        type_name = self._messages.full(type_).replace("/", "§")
+        qos = f":{int(not best_effort)}:{int(latched)}:0,{depth}:typehash={self._messages.type_id(type_)};"
+        return f"@/{self.zid}/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/{type_name}/{qos}"
+
+    def advertise(
+        self, topic: str, type_: str, *, latched: bool = False, depth: int = 10, best_effort: bool = False
+    ) -> int:
+        key = self.key(topic)
+        cache = {"cache": ext.CacheConfig(depth * 10), "publisher_detection": True} if latched else {}
+        publisher = ext.declare_advanced_publisher(
+            self.session, key, allowed_destination=zenoh.Locality.REMOTE,
+            congestion_control=zenoh.CongestionControl.BLOCK, **cache,
+        )  # fmt: skip
+        text = self.token("MP", topic, type_, latched=latched, depth=depth, best_effort=best_effort)
+        token = self.session.liveliness().declare_token(text)
+        return self.add(topic, type_, [token, publisher], publisher.put)
+
+    def subscribe(
+        self, topic: str, type_: str, *, latched: bool = False, depth: int = 10, best_effort: bool = False
+    ) -> int:
+        number, hear = self.listener(topic, type_)
+        key = self.key(topic)
+        if latched:
+            subscriber = ext.declare_advanced_subscriber(
+                self.session, key, hear, allowed_origin=zenoh.Locality.REMOTE,
+                history=ext.HistoryConfig(detect_late_publishers=True, max_samples=depth),
+            )  # fmt: skip
+        else:
+            subscriber = self.session.declare_subscriber(key, hear, allowed_origin=zenoh.Locality.REMOTE)
+        text = self.token("MS", topic, type_, latched=latched, depth=depth, best_effort=best_effort)
+        self._things[number][2].extend([self.session.liveliness().declare_token(text), subscriber])
+        return number
+
+    def tokens(self, topic: str, letters: str = "MP") -> list[str]:
+        """The tokens of others about a topic."""
+        part = f"/@ros2_lv/{letters}/{self.key(topic).replace('/', '§')}/"
+        return sorted(t for t in self._tokens if part in t and self.zid not in t)
+
+    def graph(self) -> dict[str, Any]:
+        graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}
+        for token in sorted(self._tokens):
+            parts = token.split("/")
+            if len(parts) > 4 and parts[3] in ("MP", "MS"):
+                kind = "publishers" if parts[3] == "MP" else "subscriptions"
+                key = parts[4].replace("§", "/").removeprefix(f"{self._namespace}/" if self._namespace else "")
+                graph[kind].setdefault(f"/{key}", []).append(parts[1])
+        return graph
+
+
+class Beacon:
+    """A plugin's beacon on one key, silent as the plugin's is where others beacon there (``aloha_declaration.rs``)."""
+
+    def __init__(self, session: zenoh.Session, key: str, period: float) -> None:
+        self._period = period
+        self._others = 0
+        self._stopping = threading.Event()
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.BACKGROUND,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._subscriber = session.declare_subscriber(
+            key, zenoh.handlers.Callback(self._heard, indirect=False), allowed_origin=zenoh.Locality.REMOTE
+        )
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _heard(self, _sample: zenoh.Sample) -> None:
+        self._others += 1
+
+    def _run(self) -> None:
+        sending = True
+        while not self._stopping.is_set():
+            if sending:
+                self._publisher.put(b"")
+            self._stopping.wait(self._period)
+            others, self._others = self._others, 0
+            if others and sending:
+                sending = random.random() < 0.5
+            elif not others and not sending:
+                self._stopping.wait(random.random() * self._period)
+                sending = not self._others
+
+    def undeclare(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+
+class Ros1Bridge(Program):
+    """A zenoh-bridge-ros1, its ROS 1 nodes latching or not: the plugin does not tell."""
+
+    def __init__(self, endpoint: str, messages: Messages, namespace: str = "*", period: float = 1.0) -> None:
+        super().__init__(endpoint)
+        self._messages, self._namespace, self._period = messages, namespace, period
+        self._beacons: dict[str, float] = {}
+        self._watch = self.session.declare_subscriber(
+            f"ros1_discovery_info/*/*/*/*/{namespace}/*/**", zenoh.handlers.Callback(self._on_beacon, indirect=False)
+        )
+
+    def _on_beacon(self, sample: zenoh.Sample) -> None:
+        self._beacons[str(sample.key_expr)] = time.monotonic()
+
+    def encode(self, type_: str, message: dict[str, Any]) -> bytes:
+        return self._messages.encode(type_, message)
+
+    def decode(self, type_: str, data: bytes) -> Any:
+        return self._messages.decode(type_, data)
+
+    def key(self, topic: str, type_: str, md5: str = "") -> str:
+        """The key of a topic's samples, byte for byte."""
+        hex_type = type_.replace("/msg/", "/").encode().hex()
+        return f"{hex_type}/{md5 or self._messages.type_id(type_)}/{self._namespace}/{topic.strip('/')}"
+
+    def discovery(self, letters: str, topic: str, type_: str, md5: str = "") -> str:
+        """The key of a topic's beacon, byte for byte."""
+        return f"ros1_discovery_info/*/{letters}/{self.key(topic, type_, md5)}"
+
+    def advertise(
+        self,
+        topic: str,
+        type_: str,
+        *,
+        md5: str = "",
+        **_: Any,
+    ) -> int:
+        publisher = self.session.declare_publisher(
+            self.key(topic, type_, md5),
+            reliability=zenoh.Reliability.RELIABLE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        beacon = Beacon(self.session, self.discovery("pub", topic, type_, md5), self._period)
+        return self.add(topic, type_, [beacon, publisher], publisher.put)
+
+    def subscribe(
+        self,
+        topic: str,
+        type_: str,
+        *,
+        md5: str = "",
+        **_: Any,
+    ) -> int:
+        number, hear = self.listener(topic, type_)
+        key = self.key(topic, type_, md5)
+        subscriber = self.session.declare_subscriber(key, hear, allowed_origin=zenoh.Locality.REMOTE)
+        beacon = Beacon(self.session, self.discovery("sub", topic, type_, md5), self._period)
+        self._things[number][2].extend([beacon, subscriber])
+        return number
+
+    def beacons(self) -> list[str]:
+        """Whose beacons were heard in the last three periods, its own among them."""
+        now = time.monotonic()
+        return sorted(key for key, heard in self._beacons.items() if now - heard < 3 * self._period)
+
+    def graph(self) -> dict[str, Any]:
+        graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}
+        for key in self.beacons():
+            parts = key.split("/", 6)
+            kind = {"pub": "publishers", "sub": "subscriptions"}[parts[2]]
+            graph[kind].setdefault(f"/{parts[6]}", ["a bridge"])
+        return graph
+
+    def stop(self, seconds: float = 6.0) -> int:
+        for _, _, parts in self._things.values():
+            for beacon in (part for part in parts if isinstance(part, Beacon)):
+                beacon.undeclare()
+        return super().stop(seconds)
+
+
+class JsonProgram(Program):
+    """A program without ROS that speaks JSON; topics are keys."""
+
+    def encode(self, _type: str, message: dict[str, Any]) -> bytes:
+        return json.dumps(message).encode()
+
+    def decode(self, _type: str, data: bytes) -> Any:
+        return json.loads(data)
+
+    def advertise(self, topic: str, type_: str = "", **_: Any) -> int:
+        def put(data: bytes) -> None:
+            self.session.put(topic.strip("/"), data, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+        return self.add(topic, type_, [], put)
+
+    def subscribe(self, topic: str, type_: str = "", **_: Any) -> int:
+        number, hear = self.listener(topic, type_)
+        self._things[number][2].append(
+            self.session.declare_subscriber(topic.strip("/"), hear, allowed_origin=zenoh.Locality.REMOTE)
+        )
+        return number
+
+    def get(self, key: str) -> list[tuple[Any, str]]:
+        """A plain ``get``: each answer with its encoding."""
+        replies = self.session.get(key, timeout=5.0)
+        return [(json.loads(r.ok.payload.to_bytes()), str(r.ok.encoding)) for r in replies if r.ok is not None]
