@@ -373,12 +373,13 @@ def test_tokens_of_nonsense_on_the_hub(siege: Siege) -> None:
             "@midspan/0/origin/x",
             good.replace("%tokens", "%a b%é"),
             good.replace("%tokens", "%%%"),
-            good.replace("ab" * 32, "nonsense"),
+            good.replace("%tokens", "%hash").replace("ab" * 32, "nonsense"),
             topic_token(siege, "/undefined", "nowhere_msgs::msg::dds_::Nothing_", "RIHS01_" + "ab" * 32),
             good,
         )
     ]
     assert "RIHS01_abab" in siege.refusal("/tokens")["why"]
+    assert "RIHS01_nonsense" in siege.refusal("/hash")["why"]
     assert "nowhere_msgs" in siege.refusal("/undefined")["why"]
     for side in ("ros1", "ros2"):
         assert any("liveliness tokens on the hub were left out" in w for w in siege.deployment.worker(side)["warnings"])
