@@ -25,6 +25,7 @@ _WORDS = {
     "refused": "cannot cross",
     "unseen": "has nothing to cross",
     "own": "is not taken up",
+    "standby": "is not carried here",
 }
 
 

@@ -19,6 +19,8 @@ from bridge.hub.liveliness import (
     EndpointToken,
     NodeToken,
     gid_of,
+    member_key,
+    parse_member,
     parse_origin,
     parse_token,
 )
@@ -88,6 +90,7 @@ class HubGraph:
         self._zid = str(session.zid())
         self._domain = domain
         self._max_tokens = max_tokens
+        self._member_space = f"{MIDSPAN_SPACE}/{domain}/member/"
         self._lock = Lock()
         self._nodes: dict[str, NodeToken] = {}
         self._endpoints: dict[str, HubEndpoint] = {}
@@ -96,6 +99,7 @@ class HubGraph:
         self._sessions: dict[str, dict[str, None]] = {}
         self._origin_tokens: dict[str, dict[str, Origin]] = {}
         self._origins: dict[str, Origin] = {}
+        self._members: dict[str, dict[str, None]] = {}
         self._zids: dict[bytes, str] = {}
         self._own: dict[str, zenoh.LivelinessToken] = {}
         self._watches: dict[object, Callable[[], None]] = {}
@@ -106,7 +110,11 @@ class HubGraph:
             self._liveliness.declare_subscriber(
                 key, zenoh.handlers.Callback(self._on_sample, indirect=False), history=True
             )
-            for key in (f"{MIDSPAN_SPACE}/{domain}/origin/**", f"{ADMIN_SPACE}/{domain}/**")
+            for key in (
+                f"{MIDSPAN_SPACE}/{domain}/origin/**",
+                f"{MIDSPAN_SPACE}/{domain}/member/**",
+                f"{ADMIN_SPACE}/{domain}/**",
+            )
         ]
 
     def endpoints(self) -> list[HubEndpoint]:
@@ -134,6 +142,15 @@ class HubGraph:
         """The origin of each session that told one, by zid."""
         with self._lock:
             return dict(self._origins)
+
+    def members(self) -> dict[str, frozenset[str]]:
+        """Who is on the foreign network of each session that carries messages, as that session tells; by zid."""
+        with self._lock:
+            return {zid: frozenset(members) for zid, members in self._members.items()}
+
+    def announce_member(self, member: str) -> Callable[[], None]:
+        """Tell that another session's worker is on our foreign network, until the returned function is called."""
+        return self.announce(member_key(self._domain, self._zid, member))
 
     def origin_of(self, zid: str) -> Origin | None:
         """A session's origin. Quick enough to be asked for each sample."""
@@ -212,6 +229,8 @@ class HubGraph:
         try:
             if not key.startswith(MIDSPAN_SPACE):
                 return self._learn(key, parse_token(key))
+            if key.startswith(self._member_space):
+                return self._put_member(key, *parse_member(key))
             token = parse_origin(key)
         except WireError as err:
             self._refuse(key, str(err))
@@ -230,6 +249,8 @@ class HubGraph:
         if not key.startswith(MIDSPAN_SPACE):
             return self._forget(key)
         try:
+            if key.startswith(self._member_space):
+                return self._delete_member(*parse_member(key))
             zid = parse_origin(key).zid
         except WireError:
             return False
@@ -241,6 +262,22 @@ class HubGraph:
         else:
             del self._origin_tokens[zid]
             self._settle(zid, None)
+        return True
+
+    def _put_member(self, key: str, zid: str, member: str) -> bool:
+        if sum(map(len, self._members.values())) >= self._max_tokens:
+            self._refuse(key, f"more than {self._max_tokens} members of networks")
+            return False
+        self._members.setdefault(zid, {})[member] = None
+        return True
+
+    def _delete_member(self, zid: str, member: str) -> bool:
+        members = self._members.get(zid, {})
+        if member not in members:
+            return False
+        del members[member]
+        if not members:
+            del self._members[zid]
         return True
 
     def _settle(self, zid: str, origin: Origin | None) -> None:

@@ -7,7 +7,9 @@ GID is the 128-bit XXH3 of the whole key, low half first.
 Midspan's workers tell beside it which foreign network they speak for:
 ``@midspan/<domain>/origin/<zid>/<side>/<network>/<daemon>``, one per session, declared before any endpoint. An endpoint
 declared while its session has an origin carries the enclave ``/midspan``, so that who hears of the endpoint first knows
-that an origin is to come.
+that an origin is to come. A worker that carries messages tells too which other workers it sees on its network:
+``@midspan/<domain>/member/<zid>/<zid of the other>``, one for each and one for itself, so that two networks of two
+hubs are known to be one.
 """
 
 from __future__ import annotations
@@ -143,6 +145,20 @@ def parse_origin(key: str) -> OriginToken:
         raise WireError(msg)
     side, network, daemon = (_unquote(part) for part in parts[4:])
     return OriginToken(_domain(parts[1]), parts[3], Origin(side, network, daemon))
+
+
+def member_key(domain: int, zid: str, member: str) -> str:
+    """The key of the token by which a session tells that another one's worker is on its network."""
+    return f"{MIDSPAN_SPACE}/{domain}/member/{zid}/{_quote(member)}"
+
+
+def parse_member(key: str) -> tuple[str, str]:
+    """Read a member's token: the session that tells, and the one that is told of; raises `WireError`."""
+    parts = _split(key, MIDSPAN_SPACE)
+    if len(parts) != 5 or parts[2] != "member":
+        msg = "token is not a member's"
+        raise WireError(msg)
+    return parts[3], _unquote(parts[4])
 
 
 def gid_of(key: str) -> bytes:

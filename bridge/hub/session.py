@@ -144,6 +144,12 @@ class Hub:
             if before is not None:
                 before[1]()
 
+    def linked(self) -> bool:
+        """Whether the session has a link to any other on the hub now."""
+        self._check_open()
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
+
     def publisher(
         self,
         topic: str,

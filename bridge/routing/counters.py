@@ -6,10 +6,10 @@ import time
 from collections import deque
 from typing import Any
 
-DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown")
+DROPS = ("queue", "rate", "stale", "bad", "large", "lost", "slow", "unknown", "standby")
 """Reasons of a drop: queue full, rate limit, command too old, message refused, message
 larger than the limit, lost inside zenoh or DDS, missed by a
-slow subscriber of the side, source unknown."""
+slow subscriber of the side, source unknown, this worker not (or no longer) the active one of its network."""
 
 _LATENCIES = 512
 

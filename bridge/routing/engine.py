@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from bridge.adapters.base import Edge, Endpoint, Kind
 from bridge.config.model import RoutingSection
@@ -27,6 +27,7 @@ from bridge.routing.route import Route
 from bridge.routing.rules import RuleSet
 from bridge.routing.typebook import TypeBook
 from bridge.routing.verdict import Verdict
+from bridge.routing.watch import Watch
 
 _log = logging.getLogger(__name__)
 
@@ -39,12 +40,40 @@ _SETTLE = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """How an engine is, in numbers."""
+    """How an engine is.
+
+    Attributes:
+        network: identity of the side's network, None while it is away.
+        routes: how many there are.
+        refused: topics that cannot cross.
+        rate: messages per second over all routes.
+        standing_by: the daemons that are active on the network in our stead, else "".
+        waiting: why nothing crosses yet, else "".
+    """
 
     network: str | None
     routes: int
     refused: int
     rate: float
+    standing_by: str = ""
+    waiting: str = ""
+
+    @property
+    def state(self) -> Literal["running", "waiting", "standby"]:
+        """One word."""
+        if self.standing_by:
+            return "standby"
+        return "waiting" if self.network is None or self.waiting else "running"
+
+    @property
+    def text(self) -> str:
+        """What stands beside the word, for people; "" where the network is away."""
+        if self.standing_by:
+            return f"{self.standing_by} is active on this network"
+        if self.network is None or self.waiting:
+            return self.waiting if self.network is not None else ""
+        refused = f", {self.refused} refused" if self.refused else ""
+        return f"{self.routes} routes, {self.rate:.0f} msg/s{refused}"
 
 
 class Engine:
@@ -66,7 +95,10 @@ class Engine:
         self._network: str | None = None
         self._types = TypeBook(hub, edge, self.graph_changed)
         small, bulk = (Dispatcher(f"midspan-{edge.side}-{size}") for size in ("small", "bulk"))
-        self._joint = Joint(hub, edge, self._pulse, self._types, small, bulk, self.graph_changed)
+        self._watch = Watch(edge, hub, daemon, self._wake.set)
+        self._joint = Joint(hub, edge, self._pulse, self._watch.lease, self._types, small, bulk, self.graph_changed)
+        self._members: dict[str, Callable[[], None]] = {}
+        self._term = 0
         self._inward, self._outward = Inward(self._joint), Outward(self._joint, daemon)
         self._closers: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name=f"midspan-{edge.side}-engine", daemon=True)
@@ -79,6 +111,7 @@ class Engine:
         self._joint.bulk.start()
         self._closers = [self.hub.graph.watch(self.graph_changed), self._types.serve()]
         self.edge.start(self)
+        self._watch.start()
         self._thread.start()
 
     def stop(self) -> None:
@@ -95,6 +128,7 @@ class Engine:
         self._joint.bulk.stop()
         self._inward.close()
         self._outward.close()
+        self._watch.stop()
         self.edge.stop()
 
     def reload(self, routing: RoutingSection) -> None:
@@ -105,9 +139,11 @@ class Engine:
     def graph_changed(self) -> None:
         """A graph changed: look again soon. Only wakes; may be called from any thread."""
         self._wake.set()
+        self._watch.wake()
 
     def presence_changed(self) -> None:
         """Another Midspan worker came, went or announced something. Only wakes; may be called from any thread."""
+        self._watch.wake()
 
     def message_refused(self, topic: str, reason: str, why: str) -> None:
         """Count a message that the edge took off the wire and refused."""
@@ -147,12 +183,27 @@ class Engine:
         network = self.edge.network()
         if network != self._network:
             self._change_network(network)
-        rules, verdicts = self._rules, list[Verdict]()
-        if network is not None:
-            self._inward.follow(rules, verdicts)
-        self._outward.follow(rules, verdicts)
+        rules, verdicts, outcome = self._rules, list[Verdict](), self._watch.outcome
+        if not outcome.active or outcome.term != self._term:
+            why = f"standing by: {outcome.holder} is active on this network" if outcome.holder else outcome.waiting
+            self._inward.rest(verdicts, why)
+            self._outward.rest(verdicts, why)
+            self._term = outcome.term
+        self._tell_members(outcome.members if outcome.active else frozenset())
+        if outcome.active:
+            verdicts.clear()
+            if network is not None:
+                self._inward.follow(rules, verdicts)
+            self._outward.follow(rules, verdicts, outcome)
         with self._lock:
             self._verdicts = verdicts
+
+    def _tell_members(self, members: frozenset[str]) -> None:
+        """Tell on the hub who is on our network, before any endpoint of ours and as long as there may be one."""
+        for member in members - self._members.keys():
+            self._members[member] = self.hub.graph.announce_member(member)
+        for member in self._members.keys() - members:
+            self._members.pop(member)()
 
     def _change_network(self, network: str | None) -> None:
         _log.info("%s network: %s", self.edge.side, network or "away")
@@ -171,6 +222,9 @@ class Engine:
         late = time.monotonic() - self._beat
         if late > 3.0:
             msg = f"the {self.edge.side} engine's loop has not turned for {late:.1f} s"
+            raise TimeoutError(msg)
+        if self._watch.stuck_for() > 3.0:
+            msg = f"watching the other workers on {self.edge.side} has been stuck for {self._watch.stuck_for():.1f} s"
             raise TimeoutError(msg)
         for dispatcher in (self._joint.small, self._joint.bulk):
             stuck = dispatcher.stuck_for()
@@ -191,12 +245,16 @@ class Engine:
         """How the engine is, in numbers."""
         routes = self.routes()
         refused = sum(1 for v in self.verdicts() if v.refused)
-        return Summary(self._network, len(routes), refused, sum(r.counters.rate for r in routes))
+        rate = sum(r.counters.rate for r in routes)
+        outcome = self._watch.outcome
+        return Summary(self._network, len(routes), refused, rate, outcome.standing_by, outcome.waiting)
 
     def status(self) -> dict[str, Any]:
         """Routes, refusals and warnings as they stand in the status document."""
         return {
             "network": self._network,
+            "standby": self._watch.outcome.standing_by,
+            "waiting": self._watch.outcome.waiting,
             "routes": sorted((r.status() for r in self.routes()), key=lambda r: (str(r["topic"]), str(r["direction"]))),
             "refused": [v.as_dict() for v in self.verdicts() if v.refused],
             "warnings": [*self.edge.warnings(), *self._left_out(), *self._refused_tokens()],

@@ -158,6 +158,9 @@ class InRoute(Route):
     def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
         known = self._sources.get(source)
         counters = self.counters
+        if self._joint.lease.over:
+            counters.dropped("standby")
+            return
         if known is None:
             # On the graph for the edge, not yet for us: keep the newest, the engine comes back with `update`.
             if self._priority is Priority.COMMAND or len(self._pending) >= MAX_PENDING:

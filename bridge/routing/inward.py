@@ -36,6 +36,12 @@ class Inward:
         for key in list(self._routes):
             self._routes.pop(key).close()
 
+    def rest(self, verdicts: list[Verdict], why: str) -> None:
+        """Have no routes; one verdict for each topic, which tells why."""
+        self.close()
+        found = {(e.topic, e.type) for e in self._joint.edge.endpoints() if e.kind is Kind.PUBLISHER}
+        verdicts += [Verdict.resting("in", topic, type_name, why) for topic, type_name in sorted(found)]
+
     def follow(self, rules: RuleSet, verdicts: list[Verdict]) -> None:
         """Make the routes what the side's graph and the rules say; one verdict for each topic."""
         wanted: dict[RouteKey, list[Endpoint]] = defaultdict(list)

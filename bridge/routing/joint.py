@@ -12,6 +12,7 @@ from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.lease import Lease
 from bridge.routing.route import Route
 from bridge.routing.typebook import TypeBook
 from bridge.routing.verdict import Verdict
@@ -27,6 +28,7 @@ class Joint:
         hub: the session on the hub.
         edge: the side.
         pulse: tells whether this process stood still.
+        lease: tells whether messages may cross at this moment.
         types: definitions that workers tell each other.
         small: carries messages from the hub to the side, urgent ones first.
         bulk: the same for large ones.
@@ -36,6 +38,7 @@ class Joint:
     hub: Hub
     edge: Edge
     pulse: Pulse
+    lease: Lease
     types: TypeBook
     small: Dispatcher
     bulk: Dispatcher

@@ -195,6 +195,9 @@ class OutRoute(Route):
                 self.counters.dropped("unknown")
 
     def _publish(self, sample: HubSample, source: _Source) -> None:
+        if self._joint.lease.over:
+            self.counters.dropped("standby")
+            return
         timeout = self.decision.timeout
         if self._priority is Priority.COMMAND and (
             self._joint.pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout

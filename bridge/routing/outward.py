@@ -6,7 +6,8 @@ from collections import defaultdict
 
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.origin import Origin
-from bridge.routing.guard import may_leave
+from bridge.routing.election import Outcome
+from bridge.routing.guard import may_carry, may_leave
 from bridge.routing.joint import Joint, attempt, convert
 from bridge.routing.outroute import OutRoute
 from bridge.routing.route import RouteKey
@@ -26,6 +27,7 @@ class Outward:
         self._joint = joint
         self._daemon = daemon
         self._routes: dict[tuple[RouteKey, str], OutRoute] = {}
+        self._outcome = Outcome()
 
     def routes(self) -> list[OutRoute]:
         """All routes now."""
@@ -36,8 +38,16 @@ class Outward:
         for key in list(self._routes):
             self._routes.pop(key).close()
 
-    def follow(self, rules: RuleSet, verdicts: list[Verdict]) -> None:
-        """Make the routes what the hub's graph and the rules say; one verdict for each topic."""
+    def rest(self, verdicts: list[Verdict], why: str) -> None:
+        """Have no routes; one verdict for each topic, which tells why."""
+        self.close()
+        publishers = [e for e in self._joint.hub.graph.publishers() if may_leave(e, self._joint.edge)]
+        found = {(e.topic, e.type_name) for e in publishers}
+        verdicts += [Verdict.resting("out", topic, type_name, why) for topic, type_name in sorted(found)]
+
+    def follow(self, rules: RuleSet, verdicts: list[Verdict], outcome: Outcome) -> None:
+        """Make the routes what the hub's graph, the rules and the election say; one verdict for each topic."""
+        self._outcome = outcome
         groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
         for endpoint in self._joint.hub.graph.publishers():
             if not endpoint.own:
@@ -71,9 +81,13 @@ class Outward:
     ) -> None:
         by_name: dict[str, tuple[Decision, list[HubEndpoint]]] = {}
         refused: list[HubEndpoint] = []
+        elsewhere: list[HubEndpoint] = []
         for endpoint in endpoints:
             if not may_leave(endpoint, self._joint.edge):
                 refused.append(endpoint)
+                continue
+            if not may_carry(endpoint, self._outcome):
+                elsewhere.append(endpoint)
                 continue
             decision = self._decide(rules, endpoint.origin, key)
             side_topic = decision.name if decision.name != key.topic else self._joint.edge.side_name(key.topic)
@@ -86,6 +100,9 @@ class Outward:
             else:
                 refused.append(endpoint)
                 verdicts.append(Verdict("out", side_topic, key.topic, key.type_name, decision))
+        for carrier in sorted({self._outcome.carriers.get(e.zid, "") for e in elsewhere}):
+            why = f"standing by: {carrier} puts it on this network" if carrier else "not agreed yet who puts it here"
+            verdicts.append(Verdict.resting("out", key.topic, key.type_name, why))
         for side_topic, (decision, allowed) in by_name.items():
             verdict = Verdict("out", side_topic, key.topic, key.type_name, decision)
             verdicts.append(verdict)

@@ -20,6 +20,7 @@ class Verdict:
     decision: Decision
     refused: bool = False
     own: str = ""
+    rests: bool = False
     reason: str = ""
     cure: str = field(default="")
 
@@ -40,6 +41,11 @@ class Verdict:
         return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
 
     @classmethod
+    def resting(cls, direction: str, topic: str, type_name: str, why: str) -> Self:
+        """A topic that another daemon carries in our stead, or of which that is not known yet."""
+        return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), rests=True)
+
+    @classmethod
     def placeless(cls, topic: str, hub_topic: str, type_name: str, why: str) -> Self:
         """A hub topic that the side has no place for."""
         return cls("out", topic, hub_topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
@@ -56,7 +62,9 @@ class Verdict:
 
     @property
     def kind(self) -> str:
-        """One word: bridged, denied, private, refused, unseen or own."""
+        """One word: bridged, denied, private, refused, unseen, own or standby."""
+        if self.rests:
+            return "standby"
         if self.own:
             return "unseen" if self.decision.allowed else "own"
         if self.refused:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, cast
 
 import pytest
@@ -17,6 +18,7 @@ from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.inroute import InRoute
 from bridge.routing.joint import Joint
+from bridge.routing.lease import Lease
 from bridge.routing.outroute import OutRoute
 from bridge.routing.route import RouteKey
 from bridge.routing.rules import Decision
@@ -34,7 +36,9 @@ def test_only_what_is_no_command_waits_for_its_source(topic: str, kept: int) -> 
     key = RouteKey(topic, TWIST, type_.type_id)
     with HubNetwork() as hubs, Hub.open(hubs.settings("commands")) as hub:
         idle = Dispatcher("idle")
-        joint = Joint(hub, FakeEdge(network, registry), Pulse(), cast("Any", None), idle, idle, lambda: None)
+        lease = Lease()
+        lease.extend(math.inf)
+        joint = Joint(hub, FakeEdge(network, registry), Pulse(), lease, cast("Any", None), idle, idle, lambda: None)
         inwards = InRoute(key, topic, conversion, decision, joint)
         inwards.update([Endpoint("known", Kind.PUBLISHER, topic, TWIST, Qos(), MadeBy.NATIVE)])
         inwards._deliver(b"payload", "unknown", None)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy
+from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy, Sighting
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import Conversion, SideType
@@ -41,6 +42,7 @@ class FakeNetwork:
         self._readers: list[Reader] = []
         self._watchers: list[Callable[[], None]] = []
         self._lock = threading.RLock()
+        self.announced: dict[int, Sighting] = {}
 
     def watch(self, changed: Callable[[], None]) -> None:
         self._watchers.append(changed)
@@ -148,6 +150,12 @@ class FakeEdge(Edge):
 
     def network(self) -> str | None:
         return self._network.identity
+
+    def announce(self, record: bytes) -> None:
+        self._network.announced[id(self)] = Sighting(str(id(self)), record, time.monotonic())
+
+    def sightings(self) -> list[Sighting]:
+        return [s for key, s in list(self._network.announced.items()) if key != id(self)]
 
     def is_own_network(self, origin: Origin) -> bool:
         return origin.side == self.side and origin.network == self._network.identity

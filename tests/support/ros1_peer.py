@@ -3,7 +3,7 @@
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
-``log`` text: to /rosout.
+``log`` text: to /rosout; ``count``, ``counted`` and ``tally`` as `tests.support.peer` says.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: ros1_peer.py NODE
@@ -15,6 +15,7 @@ import os
 import signal
 import sys
 import threading
+import time
 
 import genpy
 import genpy.dynamic
@@ -83,12 +84,13 @@ class Subscriber:
     """Keeps what came in."""
 
     def __init__(self, topic, cls, queue):
-        self.messages, self.headers, self.ready = [], {}, threading.Condition()
+        self.messages, self.times, self.headers, self.ready = [], [], {}, threading.Condition()
         self.endpoint = rospy.Subscriber(topic, cls, self.on_message, queue_size=queue, tcp_nodelay=True)
 
     def on_message(self, message):
         with self.ready:
             self.messages.append(message)
+            self.times.append(time.monotonic())
             header = dict(message._connection_header)
             self.headers[header.get("callerid", "")] = header
             self.ready.notify_all()
@@ -99,11 +101,33 @@ class Subscriber:
             return [to_plain(m) for m in self.messages]
 
 
+class Counting:
+    """Publishes numbers, one a message, on a thread."""
+
+    def __init__(self, publish, first, count, rate):
+        self.publish, self.sent, self.stopping = publish, 0, False
+        self.thread = threading.Thread(target=self.run, args=(first, count, rate), daemon=True)
+        self.thread.start()
+
+    def run(self, first, count, rate):
+        due = time.monotonic()
+        while self.sent < count and not self.stopping:
+            self.publish(str(first + self.sent))
+            self.sent += 1
+            due += 1.0 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def end(self, now):
+        self.stopping = now
+        self.thread.join()
+        return {"sent": self.sent}
+
+
 class Peer:
     """Carries out the commands."""
 
     def __init__(self):
-        self.endpoints = {}
+        self.endpoints, self.countings = {}, {}
         self.next_id = 0
 
     def add(self, endpoint):
@@ -131,6 +155,20 @@ class Peer:
 
     def do_wait(self, id, count, seconds, **_):
         return {"messages": self.endpoints[id].wait(count, seconds)}
+
+    def do_count(self, id, first, count, rate, **_):
+        publisher = self.endpoints[id]
+        self.countings[id] = Counting(lambda text: publisher.publish(data=text), first, count, rate)
+        return {}
+
+    def do_counted(self, id, now=False, **_):
+        return self.countings.pop(id).end(now)
+
+    def do_tally(self, id, since=0.0, **_):
+        with self.endpoints[id].ready:
+            numbers = [int(m.data) for m in self.endpoints[id].messages]
+            later = [t for t in self.endpoints[id].times if t >= since]
+        return {"received": len(numbers), "distinct": len(set(numbers)), "next": later[0] if later else None}
 
     def do_header(self, id, **_):
         return {"headers": self.endpoints[id].headers}

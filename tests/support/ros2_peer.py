@@ -8,6 +8,7 @@ import json
 import signal
 import sys
 import threading
+import time
 from array import array
 from typing import Any
 
@@ -60,12 +61,31 @@ class Endpoint:
     def __init__(self, handle: Any, type_: Any) -> None:
         self.handle, self.type = handle, type_
         self.messages: list[Any] = []
+        self.times: list[float] = []
         self.arrived = threading.Condition()
 
     def receive(self, message: Any) -> None:
         with self.arrived:
             self.messages.append(message)
+            self.times.append(time.monotonic())
             self.arrived.notify_all()
+
+
+class Counting:
+    """Publishes numbers, one a message, on a thread."""
+
+    def __init__(self, endpoint: Endpoint, first: int, count: int, rate: float) -> None:
+        self.endpoint, self.sent, self.stopping = endpoint, 0, False
+        self.thread = threading.Thread(target=self.run, args=(first, count, rate), daemon=True)
+        self.thread.start()
+
+    def run(self, first: int, count: int, rate: float) -> None:
+        due = time.monotonic()
+        while self.sent < count and not self.stopping:
+            self.endpoint.handle.publish(fill(self.endpoint.type(), {"data": str(first + self.sent)}))
+            self.sent += 1
+            due += 1.0 / rate
+            time.sleep(max(0.0, due - time.monotonic()))
 
 
 class Peer:
@@ -73,6 +93,7 @@ class Peer:
 
     def __init__(self, node: Any) -> None:
         self.node = node
+        self.countings: dict[int, Counting] = {}
         self.endpoints: dict[int, Endpoint] = {}
 
     def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
@@ -107,6 +128,24 @@ class Peer:
         with endpoint.arrived:
             endpoint.arrived.wait_for(lambda: len(endpoint.messages) >= params["count"], params["seconds"])
             return {"messages": [to_plain(m) for m in endpoint.messages]}
+
+    def count(self, params: dict[str, Any]) -> dict[str, Any]:
+        endpoint = self.endpoints[params["id"]]
+        self.countings[params["id"]] = Counting(endpoint, params["first"], params["count"], params["rate"])
+        return {}
+
+    def counted(self, params: dict[str, Any]) -> dict[str, Any]:
+        counting = self.countings.pop(params["id"])
+        counting.stopping = params.get("now", False)
+        counting.thread.join()
+        return {"sent": counting.sent}
+
+    def tally(self, params: dict[str, Any]) -> dict[str, Any]:
+        endpoint = self.endpoints[params["id"]]
+        with endpoint.arrived:
+            numbers = [int(m.data) for m in endpoint.messages]
+            later = [t for t in endpoint.times if t >= params.get("since", 0.0)]
+        return {"received": len(numbers), "distinct": len(set(numbers)), "next": later[0] if later else None}
 
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         handle = self.endpoints.pop(params["id"]).handle

@@ -6,18 +6,28 @@ import contextlib
 import logging
 import os
 import threading
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from bridge.adapters.base import Deliver, Edge, EdgeListener, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
+from bridge.adapters.base import (
+    Deliver,
+    Edge,
+    EdgeListener,
+    EdgePublisher,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+    Sighting,
+)
 from bridge.adapters.ros1 import names
 from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.graph import Link, Look
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.limits import raise_descriptor_limit
-from bridge.adapters.ros1.presence import Ledger, Presence, is_alive, others
+from bridge.adapters.ros1.links import Links
+from bridge.adapters.ros1.presence import Ledger, Presence, others
 from bridge.adapters.ros1.probe import Facts, Prober
 from bridge.config.model import Config
 from bridge.hub.origin import Origin
@@ -34,7 +44,6 @@ _log = logging.getLogger(__name__)
 
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _VOLATILE = Qos()
-_LIVENESS_PERIOD = 1.0
 
 
 class Ros1Edge(Edge):
@@ -51,8 +60,8 @@ class Ros1Edge(Edge):
         self._lock = threading.Lock()
         self._look: Look | None = None
         self._subscriptions: set[_Open] = set()
-        self._others: dict[Presence, bool] = {}
-        self._others_due = 0.0
+        self._links = Links(self._caller, self._presence_changed, self._wake_master)
+        self._settled = float("-inf")
         self._listener: EdgeListener | None = None
         self._node: Node | None = None
         self._master: Master | None = None
@@ -71,7 +80,7 @@ class Ros1Edge(Edge):
         self._listener = listener
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
-        self._node = Node(name, uri, self._wake_master, self._asked_to_stop)
+        self._node = Node(name, uri, self._wake_master, self._asked_to_stop, self._links.admit)
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed)
         self._master.start()
@@ -83,6 +92,7 @@ class Ros1Edge(Edge):
                 return
             self._stopped = True
             subscriptions, self._subscriptions = list(self._subscriptions), set()
+        self._links.close()
         if self._master is not None:
             self._master.stop()
         for opened in subscriptions:
@@ -127,8 +137,22 @@ class Ros1Edge(Edge):
 
     def others(self) -> Sequence[Presence]:
         """Other nodes of Midspan's on this network that are alive, in the order of their names."""
-        with self._lock:
-            return sorted((p for p, alive in self._others.items() if alive), key=lambda p: p.node)
+        return self._links.living()
+
+    def announce(self, record: bytes) -> None:
+        """See `Edge.announce`."""
+        self._links.announce(record)
+
+    def sightings(self) -> Sequence[Sighting]:
+        """See `Edge.sightings`."""
+        return self._links.sightings()
+
+    def settled(self, since: float) -> bool:
+        """Whether we have looked at the master since then, with our own entry on it: who came later sees that one."""
+        if self._settled < since:
+            self._wake_master()
+            return False
+        return True
 
     def warnings(self) -> list[str]:
         """What a person should know of this side."""
@@ -199,25 +223,19 @@ class Ros1Edge(Edge):
             opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
 
     def _watch_others(self, look: Look | None) -> None:
+        """Follow the entries of the other Midspan nodes; while the master is away the nodes still tell each other."""
         assert self._master is not None
-        found = others(look, self._master.presence()) if look is not None else []
-        now = time.monotonic()
-        with self._lock:
-            self._others = {p: self._others.get(p, True) for p in found}
-            if not found or now < self._others_due:
-                return
-            self._others_due = now + _LIVENESS_PERIOD
-        for presence in found:
-            self._lanes.submit(presence.uri, lambda presence=presence: self._check_other(presence))  # type: ignore[misc]
+        own = self._master.presence()
+        if look is None or Presence.parse(look.presence.get(own.key)) != own:
+            self._settled = float("-inf")
+            return
+        self._links.follow(others(look, own))
+        self._settled = self._master.looked
+        self._presence_changed()
 
-    def _check_other(self, presence: Presence) -> None:
-        alive = is_alive(self._caller(), presence)
-        with self._lock:
-            changed = self._others.get(presence, alive) != alive
-            if presence in self._others:
-                self._others[presence] = alive
-        if changed and self._listener is not None:
-            self._listener.graph_changed()
+    def _presence_changed(self) -> None:
+        if self._listener is not None:
+            self._listener.presence_changed()
 
     # -- types and names -----------------------------------------------------------------------------------------------
 

@@ -55,14 +55,15 @@ def decode(body: bytes) -> dict[str, str]:
 
 def read_header(sock: DeadlineSocket) -> dict[str, str]:
     """Read one header and not a byte more, until the socket's deadline."""
-    (length,) = _LENGTH.unpack(_read(sock, 4))
+    (length,) = _LENGTH.unpack(read_exactly(sock, 4))
     if length > MAX_HEADER:
         msg = f"the connection header claims {length} bytes, at most {MAX_HEADER} are read"
         raise ProtocolError(msg)
-    return decode(_read(sock, length))
+    return decode(read_exactly(sock, length))
 
 
-def _read(sock: DeadlineSocket, count: int) -> bytes:
+def read_exactly(sock: DeadlineSocket, count: int) -> bytes:
+    """Read so many bytes, until the socket's deadline; raises `ProtocolError` where the peer closes before."""
     parts: list[bytes] = []
     while count:
         part = sock.recv(min(count, 65536))

@@ -38,13 +38,20 @@ Lost = Callable[[str], None]
 
 
 class Master:
-    """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away."""
+    """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
+
+    Attributes:
+        uri: the master's address.
+        trouble: why it is away, "" where it is not.
+        looked: ``time.monotonic()`` before the latest look.
+    """
 
     def __init__(
         self, uri: str, node: Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost
     ) -> None:
         self.uri = uri
         self.trouble = ""
+        self.looked = float("-inf")
         self._node, self._daemon, self._ledger = node, daemon, ledger
         self._period, self._seen, self._lost_name = period, seen, lost_name
         self._evicted = False
@@ -73,7 +80,7 @@ class Master:
 
     def presence(self) -> Presence:
         """Our own entry."""
-        return Presence(self._ledger.owner, self._daemon, self._node.name, self._node.uri, os.getpid())
+        return Presence(self._ledger.owner, self._daemon, self._node.name, self._node.uri, os.getpid(), self._node.port)
 
     def stop(self) -> None:
         """Unregister all that the master has of this node."""
@@ -107,18 +114,24 @@ class Master:
                 self._seen(look)
 
     def _turn(self) -> Look:
+        self.looked = time.monotonic()
         look = self._looker.look()
         if look.run != self._run_id:
             self._join(look)
+            self.looked = time.monotonic()
             look = self._looker.look()
             self._run_id = look.run
         self._guard_name(look)
         calls = [] if self._evicted else self._missing(look)
+        self._refused &= {_what(call) for call in calls}
         for batch in _batches(calls):
             if self._stopping.is_set():
                 break
             self._check(batch, self._client.calls(batch))
-        return self._looker.look() if calls else look
+        if calls:
+            self.looked = time.monotonic()
+            look = self._looker.look()
+        return look
 
     def _failed(self, err: Ros1Error) -> None:
         self._failures += 1
@@ -137,11 +150,19 @@ class Master:
         dead = [e for e in self._ledger.predecessors(look, own) if not is_alive(own.node, e)]
         for batch in _batches(burial(look, dead)):
             self._client.calls(batch)
-        name = self._free_name(look, {e.uri for e in dead})
-        if name != self._node.name:
-            _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
-            self._node.rename(name)
-            self._looker.caller = name
+        gone = {e.uri for e in dead}
+        for _ in range(_SPARE_NAMES):
+            name = self._free_name(look, gone)
+            if name != self._node.name:
+                _log.info("the name %s is taken on this ROS 1 network; this node is %s", self._node.name, name)
+                self._node.rename(name)
+                self._looker.caller = name
+            # Another daemon may be choosing too: whoever then reads the other's entry takes another name.
+            own = self.presence()
+            self._client.calls([("setParam", (own.node, own.parameter, own.as_dict()))])
+            look = self._looker.look()
+            if self._free_name(look, gone) == name:
+                break
         self._ledger.remember(self.presence())
         _log.info("joined the ROS 1 network %s as %s", look.network, name)
 
@@ -150,9 +171,9 @@ class Master:
         first = self._node.name
         second = f"{first}_{re.sub(r'[^A-Za-z0-9_]', '_', self._daemon)}"
         for name in (first, second, *(f"{second}_{n}" for n in range(2, 2 + _SPARE_NAMES))):
-            uri = look.uris.get(name)
-            entry = Presence.parse(look.presence.get(Presence("", "", name, "", 0).key))
-            holders = {u for u in (uri, entry.uri if entry else None) if u and u != self._node.uri and u not in dead}
+            entries = [Presence.parse(entry) for entry in look.presence.values()]
+            uris = {look.uris.get(name), *(e.uri for e in entries if e is not None and e.node == name)}
+            holders = {u for u in uris if u and u != self._node.uri and u not in dead}
             if not any(self._answers(holder) for holder in holders):
                 return name
         return f"{second}_{os.getpid()}"
@@ -204,13 +225,18 @@ class Master:
         ]
 
     def _check(self, calls: Sequence[Call], values: Sequence[object]) -> None:
-        for (method, params), value in zip(calls, values, strict=True):
-            what = f"{method} {params[1]}"
+        for call, value in zip(calls, values, strict=True):
+            what = _what(call)
             if value is None and what not in self._refused:
                 _log.warning("the master refuses %s", what)
                 self._refused.add(what)
             elif value is not None:
                 self._refused.discard(what)
+
+
+def _what(call: Call) -> str:
+    method, params = call
+    return f"{method} {params[1]}"
 
 
 def _batches(calls: Sequence[Call]) -> Iterator[Sequence[Call]]:

@@ -28,7 +28,8 @@ from rospy.impl.masterslave import ROSHandler
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import Ros1Error
-from bridge.adapters.ros1.handshake import encode, read_header
+from bridge.adapters.ros1.handshake import Header, encode, read_header
+from bridge.adapters.ros1.links import FIELD
 
 _log = logging.getLogger(__name__)
 
@@ -117,9 +118,21 @@ class _Server(rospy.impl.tcpros_base.TCPServer):  # type: ignore[misc]  # rospy 
 
 
 class Node:
-    """Our node: its name, its address, and what it wants to be registered."""
+    """Our node: its name, its address, and what it wants to be registered.
 
-    def __init__(self, name: str, master_uri: str, changed: Changed, asked_to_stop: Callable[[str], None]) -> None:
+    Attributes:
+        uri: its XML-RPC address.
+        port: its TCPROS port.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        master_uri: str,
+        changed: Changed,
+        asked_to_stop: Callable[[str], None],
+        visit: Callable[[DeadlineSocket, Header, str], str],
+    ) -> None:
         if rospy.core.is_initialized():
             msg = "rospy is already in use in this process: one ROS 1 edge per process"
             raise RuntimeError(msg)
@@ -127,6 +140,7 @@ class Node:
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
         self._turned_away: dict[tuple[str, str], str] = {}
+        self._visit = visit
         self.rename(name)
         self._start_server()
         self._server = XmlRpcNode(0, _Handler(name, master_uri, _Notes(changed), asked_to_stop))
@@ -198,6 +212,7 @@ class Node:
         self._tcpros = rospy.impl.tcpros_base._tcpros_server
         server = _Server(self._greet)
         server.server_sock.listen(_BACKLOG)
+        self.port = int(server.port)
         server.start()
         self._tcpros.tcp_ros_server = server
 
@@ -226,7 +241,9 @@ class Node:
             self._greetings.release()
 
     def _admit(self, sock: DeadlineSocket, address: Any, header: dict[str, str]) -> str:
-        """Hand the peer to rospy; "" or why it is not admitted."""
+        """Hand the peer to rospy, or to who keeps in touch with the other Midspan nodes; "" or why not."""
+        if FIELD in header:
+            return self._visit(sock, header, self.uri)
         if "topic" in header:
             error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
             self._note_type(header, error)

@@ -1,8 +1,9 @@
 """Who of Midspan is on a ROS 1 network: a master parameter per node, and the dead predecessors of this daemon.
 
-Each node of ours has an entry at ``/midspan/nodes/<node>`` on the master: ``{owner, daemon, node, uri, pid}``.
-``owner`` is a random identity that stays in the state folder, so that a daemon knows its own dead selves again; what
-they left on the master is removed, and nobody else's.
+Each node of ours has an entry below ``/midspan/nodes`` on the master: ``{owner, daemon, node, uri, pid, port}``. Its
+key comes from the node's address alone, so that two nodes of one name never write over each other's. ``owner`` is a
+random identity that stays in the state folder, so that a daemon knows its own dead selves again; what they left on the
+master is removed, and nobody else's.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import os
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,7 @@ class Presence:
         node: the node's name on the graph.
         uri: the node's XML-RPC address.
         pid: its process on its machine.
+        port: its TCPROS port, where it tells more; see `bridge.adapters.ros1.links`.
     """
 
     owner: str
@@ -42,11 +45,12 @@ class Presence:
     node: str
     uri: str
     pid: int
+    port: int = 0
 
     @property
     def key(self) -> str:
         """The last part of the entry's parameter name."""
-        return self.node.strip("/").replace("/", "__")
+        return "node_" + sha256(self.uri.encode()).hexdigest()[:12]
 
     @property
     def parameter(self) -> str:
@@ -62,7 +66,8 @@ class Presence:
         """An entry read from a master or the state folder, None where it is none."""
         match entry:
             case {"owner": str(owner), "daemon": str(daemon), "node": str(node), "uri": str(uri), "pid": int(pid)}:
-                return cls(owner, daemon, node, uri, pid)
+                port = entry.get("port")
+                return cls(owner, daemon, node, uri, pid, port if isinstance(port, int) else 0)
         return None
 
 

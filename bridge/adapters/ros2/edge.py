@@ -9,13 +9,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
-from bridge.adapters.base import Deliver, Edge, EdgeListener, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
+from bridge.adapters.base import (
+    Deliver,
+    Edge,
+    EdgeListener,
+    EdgePublisher,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+    Sighting,
+)
 from bridge.adapters.ros2 import neighbours, rcl, shm
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
 from bridge.adapters.ros2.loop import Loop, TakeLoop
 from bridge.adapters.ros2.origins import Origins
 from bridge.adapters.ros2.participant import Participant
+from bridge.adapters.ros2.presence import TYPE, Presence
 from bridge.adapters.ros2.process import use_profile
 from bridge.adapters.ros2.publisher import Ros2Publisher
 from bridge.adapters.ros2.qos import mismatch
@@ -50,6 +61,7 @@ class Ros2Edge(Edge):
         self._loop: Loop | None = None
         self._graph: Graph | None = None
         self._origins: Origins | None = None
+        self._presence: Presence | None = None
 
     def start(self, listener: EdgeListener) -> None:
         """Join the DDS network, which is always there; takes about half a second."""
@@ -69,6 +81,15 @@ class Ros2Edge(Edge):
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
         )
         graph.start()
+        string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
+        self._presence = Presence(
+            self._participant,
+            self._loop,
+            string,
+            lambda: graph.snapshot.participants,
+            self._origins.past,
+            listener.presence_changed,
+        )
 
     def _changed(self, snapshot: Snapshot) -> None:
         if self._neighbours is not None:
@@ -79,6 +100,22 @@ class Ros2Edge(Edge):
             subscription.refit()
         if self._listener is not None:
             self._listener.graph_changed()
+
+    def announce(self, record: bytes) -> None:
+        """See `Edge.announce`."""
+        presence = self._presence
+        if presence is not None:
+            presence.announce(record)
+
+    def sightings(self) -> Sequence[Sighting]:
+        """See `Edge.sightings`."""
+        presence = self._presence
+        return presence.sightings() if presence is not None else ()
+
+    def settled(self, since: float) -> bool:
+        """See `Edge.settled`."""
+        presence = self._presence
+        return presence is not None and presence.settled(since)
 
     def _leave_shared_memory(self) -> None:
         neighbours.note(self._state / "ros2")
@@ -96,6 +133,9 @@ class Ros2Edge(Edge):
         if graph is None or loop is None or participant is None:
             return
         graph.stop()
+        presence, self._presence = self._presence, None
+        if presence is not None:
+            presence.close()
         origins, self._origins = self._origins, None
         watch, self._neighbours = self._neighbours, None
         for part in (origins, watch):

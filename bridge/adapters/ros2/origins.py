@@ -16,6 +16,8 @@ DISCOVERY_SECONDS = 1.5
 """A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
 
 _KEPT = 64
+_MAX_SEEN = 1000
+"""Origins whose moment is remembered; the oldest is forgotten, and would have its moment again."""
 _FILE = "prefixes"
 
 
@@ -28,13 +30,16 @@ class Origins:
             worker for some seconds, and its origin is ours.
         participants: the GUID prefixes that are on our DDS network now.
         settled: called when an origin's moment is over.
+
+    Attributes:
+        past: the prefixes of this daemon's participants, dead ones and ours.
     """
 
     def __init__(
         self, own: bytes, folder: Path, participants: Callable[[], frozenset[bytes]], settled: Callable[[], None]
     ) -> None:
         self._participants, self._settled = participants, settled
-        self._past = _remember(own, folder / _FILE)
+        self.past = _remember(own, folder / _FILE)
         self._lock = threading.Lock()
         self._first_seen: dict[bytes, float] = {}
         self._timers: list[threading.Timer] = []
@@ -45,12 +50,14 @@ class Origins:
             prefix = bytes.fromhex(network)
         except ValueError:
             return False
-        if prefix in self._past or prefix in self._participants():
+        if prefix in self.past or prefix in self._participants():
             return True
         now = time.monotonic()
         with self._lock:
             first = self._first_seen.get(prefix)
             if first is None:
+                if len(self._first_seen) >= _MAX_SEEN:
+                    del self._first_seen[next(iter(self._first_seen))]
                 first = self._first_seen[prefix] = now
                 timer = threading.Timer(DISCOVERY_SECONDS, self._settled)
                 timer.daemon = True

@@ -13,7 +13,8 @@ pytestmark = [pytest.mark.real, needs_ros1]
 
 
 def presence(master):
-    return master.call("getParam", "/midspan/nodes") or {}
+    entries = master.call("getParam", "/midspan/nodes") or {}
+    return {entry["node"].strip("/"): entry for entry in entries.values()}
 
 
 def test_network_identity(master, tmp_path):

@@ -59,6 +59,9 @@ class RunningEdge:
     def graph_changed(self) -> None:
         self.changes += 1
 
+    def presence_changed(self) -> None:
+        """Not asked for."""
+
     def message_refused(self, topic: str, reason: str, why: str) -> None:
         """Not asked for."""
 

@@ -1,0 +1,365 @@
+"""Which of several Midspan workers on one network carries what, so that no message crosses twice.
+
+Each worker tells the others on its own foreign network, since their hubs may not be joined, what it would carry: a
+claim is first wished for, then held. Two claims conflict where both together would bring a message twice:
+
+- the role of a hub on this network (take up what its programs publish, put what the hub's own programs publish) is
+  held by one of the workers whose hubs are joined;
+- what comes from another network X onto this one is carried by one of all workers here whose hub has X. Workers of
+  hubs that are not joined share this network without harm; where both hubs have X too, one of them puts it here.
+
+A claim is held once every other living worker has answered a record that showed the claim (so nobody takes the same
+one unseen), nobody holds a conflicting one, and none of an older date is wished for. Who holds keeps: a worker that
+returns finds the other one holding. While another worker is seen but has told nothing yet, nothing is held.
+
+This is the policy alone: no clock, thread, or network; `bridge.routing.watch` drives it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from bridge.adapters.base import Sighting
+
+PERIOD = 0.2
+"""Seconds between two records."""
+
+SILENCE = 1.0
+"""Seconds without a record after which a worker counts as gone."""
+
+UNKNOWN = 5.0
+"""Seconds for which a worker that never told anything is waited for."""
+
+CUT = 1.0
+"""Seconds after which a worker that lives here, but left our hub, counts as one of another hub."""
+
+MAX_RECORD = 1 << 18
+_MAX_NAMES = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What a worker would carry, or carries.
+
+    Attributes:
+        since: nanoseconds of the wall clock at which the worker first wished for it; the oldest of conflicting claims
+            wins, whatever the clocks of the machines say.
+        held: whether the worker carries it.
+        first: number of the first record that shows it.
+    """
+
+    since: int
+    held: bool
+    first: int
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What a worker tells the others on its network.
+
+    Attributes:
+        id: of its hub session.
+        daemon: its daemon's name, for people.
+        seq: number of the record.
+        acks: newest record's number of each other worker that it heard.
+        crew: ids of the Midspan sessions on its hub.
+        process: which process of which machine it is; see `bridge.routing.processes`.
+        role: its claim to its hub's role here, None where it leaves.
+        carries: its claims to other networks, each named by the ids of the workers that are on it.
+    """
+
+    id: str
+    daemon: str
+    seq: int
+    acks: Mapping[str, int]
+    crew: frozenset[str]
+    process: str
+    role: Claim | None
+    carries: Mapping[frozenset[str], Claim]
+
+    def encode(self) -> bytes:
+        """The record as JSON."""
+        return json.dumps({
+            "id": self.id, "daemon": self.daemon, "seq": self.seq, "acks": dict(self.acks),
+            "crew": sorted(self.crew), "process": self.process, "role": self.role and _words(self.role),
+            "carries": [[sorted(of), _words(claim)] for of, claim in self.carries.items()],
+        }, separators=(",", ":")).encode()  # fmt: skip
+
+    @classmethod
+    def decode(cls, data: bytes) -> Record | None:
+        """Read a record, None where it is none."""
+        try:
+            tree = json.loads(data) if len(data) <= MAX_RECORD else None
+            match tree:
+                case {
+                    "id": str(id_), "daemon": str(daemon), "seq": int(seq), "acks": dict(acks), "crew": list(crew),
+                    "process": str(process), "role": role, "carries": list(carries),
+                } if len(acks) + len(crew) + len(carries) < _MAX_NAMES:  # fmt: skip
+                    return cls(
+                        id_, daemon[:100], seq, {str(k): int(v) for k, v in acks.items()}, _ids(crew), process,
+                        None if role is None else _claim(role), {_ids(of): _claim(claim) for of, claim in carries},
+                    )  # fmt: skip
+        except (ValueError, TypeError, RecursionError):
+            return None
+        return None
+
+    @property
+    def first(self) -> int:
+        """The first record that shows all of its claims."""
+        claims = [*self.carries.values(), *([self.role] if self.role else [])]
+        return max((c.first for c in claims), default=0)
+
+    def same(self, other: Record | None) -> bool:
+        """Whether a record tells others nothing that another one did not."""
+        return other is not None and replace(self, seq=0, acks={}) == replace(other, seq=0, acks={})
+
+
+@dataclass(frozen=True, slots=True)
+class HubView:
+    """The hub, as the election needs it.
+
+    Attributes:
+        crew: ids of the Midspan sessions on it, ours included.
+        networks: the foreign networks that it has, each by the ids of the workers that are on it; see `join`.
+        settled: whether who is on the hub would be seen by now.
+    """
+
+    crew: frozenset[str] = frozenset()
+    networks: Sequence[frozenset[str]] = ()
+    settled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What this worker may do now.
+
+    Attributes:
+        term: a number that changes when what it held was lost: routes are then made anew.
+        active: whether it holds its hub's role on this network.
+        carried: ids of the hub sessions whose messages it puts on this network.
+        carriers: the daemon that puts a session's messages here instead, by session.
+        holder: the daemon that holds the role instead, "" where none does.
+        waiting: why nobody is known to hold it yet.
+        members: ids of all living workers on this network, this one among them.
+    """
+
+    term: int = 0
+    active: bool = False
+    carried: frozenset[str] = frozenset()
+    carriers: Mapping[str, str] = field(default_factory=dict)
+    holder: str = ""
+    waiting: str = ""
+    members: frozenset[str] = frozenset()
+
+    @property
+    def standing_by(self) -> str:
+        """The daemons that are active on this network in our stead, "" where we carry anything."""
+        if not self.active:
+            return self.holder
+        return "" if self.carried else ", ".join(sorted(set(self.carriers.values())))
+
+
+class Election:
+    """One worker's part in the election on one network.
+
+    Args:
+        me: id of its hub session.
+        daemon: its daemon's name.
+        process: its process, as `Record.process` has it.
+        gone: whether the process that made a record is known to have ended.
+    """
+
+    def __init__(
+        self, me: str, daemon: str, process: str = "", gone: Callable[[Record], bool] = lambda _: False
+    ) -> None:
+        self._me, self._daemon, self._process, self._gone = me, daemon, process, gone
+        self._seq = 0
+        self._role: Claim | None = None
+        self._carries: dict[frozenset[str], Claim] = {}
+        self._heard_anew = float("-inf")
+        self._met: dict[str, float] = {}
+        self._decoded: dict[str, tuple[bytes, Record | None]] = {}
+        self._told: Record | None = None
+        self.outcome = Outcome()
+
+    def lapse(self, now: float) -> None:
+        """This worker stood still: others may have taken what it held. It is to be held anew, by the same dates."""
+        self._heard_anew = now
+        if self._role is not None and self._role.held:
+            self.outcome = replace(self.outcome, term=self.outcome.term + 1, active=False, carried=frozenset())
+        if self._role is not None:
+            self._role = self._anew(self._role)
+        self._carries = {of: self._anew(claim) for of, claim in self._carries.items()}
+
+    def _anew(self, claim: Claim) -> Claim:
+        return replace(claim, held=False, first=self._seq + 1)
+
+    def turn(
+        self, now: float, wall_ns: int, sightings: Sequence[Sighting], hub: HubView, *, settled: bool
+    ) -> tuple[Record, bool]:
+        """Decide by what is seen now; returns the record to tell, and whether others wait for it.
+
+        Args:
+            now: seconds of a monotonic clock, the one of the sightings.
+            wall_ns: nanoseconds of the wall clock.
+            sightings: the other workers on this network.
+            hub: the hub as seen now.
+            settled: whether every worker that is on the network would be seen by now.
+        """
+        others, waiting = self._living(now, sightings)
+        joined = [o for o in others if self._joined(o, hub, now)]
+        if not settled:
+            waiting = "it is not known yet who else of Midspan is on this network"
+        elif not waiting and not hub.settled and len(joined) < len(others):
+            waiting = "it is not known yet whether our hub is that of the others on this network"
+        self._elect_role(joined, others, wall_ns, ready=not waiting)
+        members = frozenset({self._me, *(o.id for o in others)})
+        carriers = self._elect_networks(hub.networks, members, others, wall_ns)
+        self._seq += 1
+        record = self._record(others, hub)
+        urgent = not record.same(self._told) or any(o.first > self._acked(o) for o in others)
+        self._tell(joined, carriers, members, waiting)
+        return record, urgent
+
+    def told(self, record: Record) -> None:
+        """The record was sent."""
+        self._told = record
+
+    def leave(self) -> Record:
+        """The last record: nothing is held any more."""
+        self._seq += 1
+        self._role, self._carries = None, {}
+        return Record(self._me, self._daemon, self._seq, {}, frozenset(), self._process, None, {})
+
+    # -- who is there --------------------------------------------------------------------------------------------------
+
+    def _living(self, now: float, sightings: Sequence[Sighting]) -> tuple[list[Record], str]:
+        """The others that live, and why it is not known yet what they carry."""
+        waiting = ""
+        decoded: dict[str, tuple[bytes, Record | None]] = {}
+        living: dict[str, Record] = {}
+        for sighting in sightings:
+            record = self._decode(sighting, decoded)
+            age = now - max(sighting.heard, self._heard_anew)
+            if record is None:
+                if age < UNKNOWN:
+                    waiting = "another Midspan worker on this network has not told yet what it carries"
+            elif record.id != self._me and record.role is not None and age < SILENCE and not self._gone(record):
+                living[record.id] = record
+        self._decoded = decoded
+        return list(living.values()), waiting
+
+    def _decode(self, sighting: Sighting, decoded: dict[str, tuple[bytes, Record | None]]) -> Record | None:
+        if sighting.record is None:
+            return None
+        known = self._decoded.get(sighting.id)
+        if known is None or known[0] is not sighting.record:
+            known = (sighting.record, Record.decode(sighting.record))
+        decoded[sighting.id] = known
+        return known[1]
+
+    def _joined(self, other: Record, hub: HubView, now: float) -> bool:
+        """Whether another one's hub is ours; for a moment also where it has just left it."""
+        if other.id in hub.crew or self._me in other.crew:
+            self._met[other.id] = now
+        return now - self._met.get(other.id, float("-inf")) < CUT
+
+    def _acked(self, other: Record) -> int:
+        return self._told.acks.get(other.id, 0) if self._told is not None else 0
+
+    # -- who carries what ----------------------------------------------------------------------------------------------
+
+    def _elect_role(self, joined: Sequence[Record], others: Sequence[Record], wall_ns: int, *, ready: bool) -> None:
+        role = self._role or Claim(wall_ns, held=False, first=self._seq + 1)
+        rivals = [(o.id, o.role) for o in joined if o.role is not None]
+        self._role = self._elect(role, rivals, others, wall_ns, ready=ready)
+        if role.held and not self._role.held:
+            self.outcome = replace(self.outcome, term=self.outcome.term + 1)
+
+    def _elect_networks(
+        self, networks: Sequence[frozenset[str]], members: frozenset[str], others: Sequence[Record], wall_ns: int
+    ) -> dict[str, str]:
+        """Elect for each network that the hub has; who carries the messages of its sessions instead of us."""
+        before, self._carries = self._carries, {}
+        carriers: dict[str, str] = {}
+        if self._role is None or not self._role.held:
+            return carriers
+        for network in networks:
+            if network & members:
+                continue
+            known = [claim for of, claim in before.items() if of & network]
+            claim = min(known, key=lambda c: (not c.held, c.since), default=Claim(wall_ns, False, self._seq + 1))
+            rivals = [(o.id, theirs, o.daemon) for o in others for of, theirs in o.carries.items() if of & network]
+            claim = self._elect(claim, [r[:2] for r in rivals], others, wall_ns, ready=True)
+            self._carries[network] = claim
+            if not claim.held:
+                best = min(rivals, key=lambda r: (not r[1].held, r[1].since), default=("", claim, ""))
+                carriers.update(dict.fromkeys(network, best[2]))
+        return carriers
+
+    def _elect(
+        self, claim: Claim, rivals: Sequence[tuple[str, Claim]], others: Sequence[Record], wall_ns: int, *, ready: bool
+    ) -> Claim:
+        better = [c for id_, c in rivals if (c.since, id_) < (claim.since, self._me)]
+        if claim.held:
+            # Two of them hold where networks or hubs that were apart have met.
+            lost = any(c.held for c in better)
+            return Claim(wall_ns, held=False, first=self._seq + 1) if lost else claim
+        if not ready or better or any(c.held for _, c in rivals):
+            return claim
+        answered = all(o.acks.get(self._me, 0) >= claim.first for o in others)
+        return replace(claim, held=True) if answered else claim
+
+    # -- what is told --------------------------------------------------------------------------------------------------
+
+    def _record(self, others: Sequence[Record], hub: HubView) -> Record:
+        acks = {o.id: o.seq for o in others}
+        role, carries = self._role, dict(self._carries)
+        return Record(self._me, self._daemon, self._seq, acks, hub.crew, self._process, role, carries)
+
+    def _tell(
+        self, joined: Sequence[Record], carriers: Mapping[str, str], members: frozenset[str], waiting: str
+    ) -> None:
+        active = self._role is not None and self._role.held
+        holder = next((o.daemon for o in joined if o.role is not None and o.role.held), "")
+        carried = frozenset().union(*(of for of, claim in self._carries.items() if claim.held))
+        if not active and not holder:
+            waiting = waiting or "the workers on this network are agreeing on who is active"
+        self.outcome = Outcome(
+            self.outcome.term,
+            active,
+            carried,
+            carriers,
+            "" if active else holder,
+            "" if active or holder else waiting,
+            members,
+        )
+
+
+def join(members: Mapping[str, frozenset[str]]) -> list[frozenset[str]]:
+    """The networks behind a hub's sessions, from what each session tells of who is on its network.
+
+    Sessions of one network tell sets that overlap: one of two workers that met knows the other.
+    """
+    found: list[frozenset[str]] = []
+    for session, told in members.items():
+        network = told | {session}
+        apart = [other for other in found if not other & network]
+        found = [*apart, network.union(*(other for other in found if other & network))]
+    return found
+
+
+def _words(claim: Claim) -> list[int]:
+    return [claim.since, int(claim.held), claim.first]
+
+
+def _claim(words: Any) -> Claim:
+    since, held, first = words
+    return Claim(int(since), bool(held), int(first))
+
+
+def _ids(names: list[Any]) -> frozenset[str]:
+    return frozenset(str(name)[:100] for name in names)
