@@ -200,7 +200,10 @@ def _read_line(line: str, bare: str, owner: str, world: World, fields: list[Fiel
         if type_text.split("<=")[0] in STRING_TYPES and world is World.ROS1:
             # A string constant of ROS 1 is everything after the '=', '#' included.
             rest = "=" + line.split("=", 1)[1]
-        constants.append(Constant(name, parse_type(type_text, owner, world).base, rest[1:].strip()))
+        constant = Constant(name, parse_type(type_text, owner, world).base, rest[1:].strip())
+        if constant.base == "byte":
+            int(constant.text, 0)  # the only ones whose value differs between the worlds
+        constants.append(constant)
         return True
     field_type = parse_type(type_text, owner, world)
     if world is World.ROS1:

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import xmlrpc.client
+from typing import Any
 
 import pytest
 
 from tests.fuzz.targets import TARGETS
+
+
+def _state(answers: Any) -> bytes:
+    return xmlrpc.client.dumps((answers,), methodresponse=True, allow_none=True).encode()
+
 
 FOUND = [
     ("definition", b'2string<=5 t"""'),
@@ -22,6 +29,11 @@ FOUND = [
     ("ros2_prefixes", b"\x9f"),
     ("lock", b'{"pid":1e999,"machine":"","owner":""}'),
     ("lock", b"[" * 3000),
+    ("header_type", b"s/g\n\nbyte C=4!"),
+    ("master_graph", _state([[[1, "", [["/chatter", "/a", "/b"]]]] * 6])),
+    ("master_graph", _state([[[1, "", [None, [], []]]] * 6])),
+    ("master_graph", _state([[], 5, {}, [[1, "", 3]], [], []])),
+    ("status", b'[{"routes": [{"latency_ms": {"p99": ' + b"9" * 400 + b"}}]}]"),
     ("control", b"[" * 3000),
     ("qos", b"::,:828372036,8547792233720365807:,:,,"),
 ]

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from bridge.adapters.ros1.errors import ProtocolError
 from bridge.adapters.ros1.rpc import RpcClient
 
 _TRIES = 3
@@ -61,7 +62,15 @@ class Looker:
         self._look: Look | None = None
 
     def look(self) -> Look:
-        """The master's state now; the very same object as the last time where nothing changed."""
+        """The master's state now; the very same object as the last time where nothing changed. Raises `Ros1Error`."""
+        try:
+            return self._try()
+        except (LookupError, TypeError, ValueError) as err:
+            self._nodes, self._answers, self._look = (), [], None
+            msg = f"the master's state is not what ROS 1's masters say: {err}"
+            raise ProtocolError(msg) from None
+
+    def _try(self) -> Look:
         for _ in range(_TRIES):
             asked = self._nodes
             answers = self._ask()

@@ -49,12 +49,13 @@ class RpcClient:
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
             parts = urlsplit(uri)
-            if not parts.hostname or parts.scheme != "http":
-                raise ValueError
-            self._http = _Connection(parts.hostname, parts.port or 80)
+            host = parts.hostname if parts.scheme == "http" else None
+            self._http = _Connection(host or "", parts.port or 80)
         except (ValueError, http.client.InvalidURL):
+            host = None
+        if not host:
             msg = f"not a ROS 1 address: {uri[:200]!r} (it should look like http://host:11311/)"
-            raise ProtocolError(msg) from None
+            raise ProtocolError(msg)
         self.uri = uri
         self._path = parts.path or "/"
         self._timeout = timeout
@@ -84,7 +85,7 @@ class RpcClient:
         for answer in answers:
             try:
                 code, _, value = _triple(answer[0])
-            except (KeyError, ProtocolError):
+            except (LookupError, TypeError, ProtocolError):
                 code, value = 0, None
             values.append(value if code == 1 else None)
         if self._last is not None:
