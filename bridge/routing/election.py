@@ -102,7 +102,7 @@ class Record:
                         id_, daemon[:100], seq, {str(k): int(v) for k, v in acks.items()}, _ids(crew), process,
                         None if role is None else _claim(role), {_ids(of): _claim(claim) for of, claim in carries},
                     )  # fmt: skip
-        except (ValueError, TypeError, RecursionError):
+        except (ValueError, TypeError, OverflowError, RecursionError):
             return None
         return None
 

@@ -29,6 +29,7 @@ FOUND = [
     ("ros2_prefixes", b"\x9f"),
     ("lock", b'{"pid":1e999,"machine":"","owner":""}'),
     ("lock", b"[" * 3000),
+    ("record", b'{"id":"","daemon":"","seq":7,"acks":{"":1e999},"crew":[],"process":"","role":null,"carries":[]}'),
     ("header_type", b"s/g\n\nbyte C=4!"),
     ("master_graph", _state([[[1, "", [["/chatter", "/a", "/b"]]]] * 6])),
     ("master_graph", _state([[[1, "", [None, [], []]]] * 6])),

@@ -148,7 +148,7 @@ class _Link:
             except TimeoutError:
                 # It neither answers nor refuses: whoever asks is told when it was last heard.
                 pass
-            except (OSError, Ros1Error) as err:
+            except (OSError, OverflowError, ValueError, Ros1Error) as err:
                 self._live(False, str(err))
             else:
                 before = self._heard

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
 from bridge.config.problems import ConfigError
 from tests.fuzz.target import Subject, Target, texts
 
@@ -42,9 +46,6 @@ def _config() -> Subject:
 
 def _file() -> Subject:
     """A whole file as bytes."""
-    import tempfile
-    from pathlib import Path
-
     from bridge.config.load import load
 
     file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "midspan.yaml"
@@ -56,7 +57,49 @@ def _file() -> Subject:
     return Subject(parse, _SEEDS, (ConfigError,), [*_WORDS, b"\xff", b"\xff\xfe", b"\x80"], largest=512)
 
 
+def _peers(bridge: str) -> Callable[[], Subject]:
+    """The configuration of a peer that is turned into ours, which our own reader takes."""
+
+    def make() -> Subject:
+        from bridge.config.importers import domain_bridge, ros1_bridge
+        from bridge.config.load import loads
+
+        file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "peer.yaml"
+
+        def parse(data: bytes) -> None:
+            file.write_bytes(data)
+            made = domain_bridge.drafts(file)[0] if bridge == "domain_bridge" else [ros1_bridge.draft(file)[0]]
+            for draft in made:
+                loads(draft.text())
+
+        return Subject(parse, _PEERS[bridge], (ConfigError,), [*_WORDS, *_PEER_WORDS], 768)
+
+    return make
+
+
+_PEERS = {
+    "domain_bridge": texts(
+        "name: my_bridge\nfrom_domain: 2\nto_domain: 3\ntopics:\n  chatter:\n    type: std_msgs/msg/String\n"
+        "    remap: talk\n"
+        "  /clock:\n    type: rosgraph_msgs/msg/Clock\n    from_domain: 1\n    bidirectional: true\n"
+        "    qos: {reliability: best_effort, depth: 1, deadline: -1}\n",
+        "name: b\nmode: compress\ntopics:\n  a: {type: a_msgs/msg/A, from_domain: 0, to_domain: 5, reversed: true}\n"
+        "services:\n  s: {type: a/srv/B}\n",
+    ),
+    "ros1_bridge": texts(
+        "topics:\n  - {topic: /chatter, type: std_msgs/msg/String, queue_size: 1}\n  -\n    topic: /map\n"
+        "    type: nav_msgs/OccupancyGrid\n    qos:\n      history: keep_all\n      durability: transient_local\n"
+        "      deadline: {secs: 10, nsecs: 2}\nservices_2_to_1:\n  - {service: /add, type: a/Add}\n",
+    ),
+}
+_PEER_WORDS = texts(
+    "topics:\n", "type: ", "remap: ", "qos: ", "queue_size: ", "from_domain: ", "~/", "topics: []", "services_1_to_2:\n",
+    "~", "-1", "1e9", "- 5\n", "ros1_package_name: a\n",
+)  # fmt: skip
+
 TARGETS = (
+    Target("domain_bridge", 400, _peers("domain_bridge")),
+    Target("ros1_bridge", 400, _peers("ros1_bridge")),
     Target("config", 700, _config),
     Target("config_file", 500, _file),
 )

@@ -87,7 +87,23 @@ def _log() -> Subject:
     return Subject(parse, texts("<3>bad", "<6>fine", "plain"), (), texts("<", ">", "<7>", "<9>"))
 
 
+def _record() -> Subject:
+    """What workers on one network tell each other for their election; what is read is written as the same again."""
+    from bridge.routing.election import Claim, Record
+
+    def parse(data: bytes) -> None:
+        record = Record.decode(data)
+        assert record is None or Record.decode(record.encode()) == record
+
+    claim = Claim(1_700_000_000_000_000_000, True, 3)
+    record = Record("a", "robot", 7, {"b": 6}, frozenset("ab"), "m 1 2", claim, {frozenset("cd"): claim})
+    return Subject(
+        parse, [record.encode()], (), [*JSON_WORDS, *texts('"acks":', '"carries":', "[[], []]", "[1,true,3]")]
+    )
+
+
 TARGETS = (
+    Target("record", 10_000, _record),
     Target("command", 5_000, _command),
     Target("report", 20_000, _report),
     Target("lines", 15_000, _lines),
