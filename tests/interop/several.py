@@ -1,0 +1,320 @@
+"""Several daemons: each with a state folder, a name and networks of its own, or shared with others."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import psutil
+import yaml
+
+from bridge.hub.session import Hub, HubSettings
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import RosMaster
+from tests.support.ros2 import ROS2_PEER, new_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
+STRING = "std_msgs/String"
+
+
+class Network(Protocol):
+    """A foreign network."""
+
+    side: str
+
+    def settings(self) -> dict[str, Any]:
+        """The side's section of a daemon's configuration."""
+
+    def program(self, name: str) -> Peer:
+        """A native program on it."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class Ros1Network:
+    """A roscore of its own."""
+
+    side = "ros1"
+
+    def __init__(self) -> None:
+        self._master = RosMaster()
+        self._master.start()
+
+    def settings(self) -> dict[str, Any]:
+        return {"master": self._master.uri}
+
+    def program(self, name: str) -> Peer:
+        return self._master.peer(name)
+
+    def close(self) -> None:
+        self._master.close()
+
+
+class Ros2Network:
+    """A DDS domain of its own."""
+
+    side = "ros2"
+
+    def __init__(self) -> None:
+        self._domain = new_domain()
+
+    def settings(self) -> dict[str, Any]:
+        return {"domain": self._domain}
+
+    def program(self, name: str) -> Peer:
+        env = ros2_environment() | {"ROS_DOMAIN_ID": str(self._domain)}
+        return Peer(ROS2_PEER, ros2_python(), env, name)
+
+    def close(self) -> None:
+        """A domain lives as long as its participants."""
+
+
+@dataclass
+class Daemon:
+    """One daemon, started by `midspan run`."""
+
+    name: str
+    file: Path
+    port: int
+    sides: list[str]
+    process: Process | None = None
+    watch: Hub | None = field(default=None, repr=False)
+
+    def start(self) -> None:
+        """Start it; does not wait for anything."""
+        self.process = Process([*MIDSPAN, "run", "--config", self.file], dict(os.environ))
+
+    def status(self, side: str) -> dict[str, Any]:
+        """One of its workers' status."""
+        if self.watch is None:
+            settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", daemon="w", worker="w")
+            self.watch = Hub.open(settings)
+        answers = self.watch.ask("status", {}, daemon=self.name, timeout=1.0)
+        return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
+
+    def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
+        """What one of its workers decided of a topic."""
+        assert self.watch is not None
+        answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=1.0)
+        return next((a.value for a in answers if isinstance(a.value, list) and a.worker == side), [])
+
+    def processes(self, side: str = "") -> list[psutil.Process]:
+        """Its processes, or those of one worker."""
+        assert self.process is not None
+        whole = [psutil.Process(self.process.pid), *psutil.Process(self.process.pid).children(recursive=True)]
+        return [p for p in whole if not side or p.pid == self.status(side).get("pid")]
+
+    def kill(self) -> float:
+        """SIGKILL all of it, the daemon first; the time of it."""
+        processes = self.processes()
+        at = time.monotonic()
+        for process in processes:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
+        assert self.process is not None
+        self.process.popen.wait()
+        self.process = None
+        return at
+
+    def signal(self, number: int) -> float:
+        """Send a signal to all of it, the daemon first."""
+        at = time.monotonic()
+        for process in self.processes():
+            os.kill(process.pid, number)
+        return at
+
+    def close(self) -> None:
+        """Stop it."""
+        if self.watch is not None:
+            self.watch.close()
+        if self.process is not None:
+            self.signal(signal.SIGCONT)
+            self.process.stop()
+
+
+class Several:
+    """The daemons and networks of one test."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.daemons: list[Daemon] = []
+        self._open: list[Any] = []
+        self._names = 0
+
+    def ros1(self) -> Network:
+        """A new ROS 1 network."""
+        return self._opened(Ros1Network())
+
+    def ros2(self) -> Network:
+        """A new ROS 2 network."""
+        return self._opened(Ros2Network())
+
+    def _opened(self, network: Network) -> Network:
+        self._open.append(network)
+        return network
+
+    def daemon(self, name: str, *networks: Network, join: Daemon | None = None, node: str = "midspan") -> Daemon:
+        """A daemon on these networks with a hub of its own; its router joins that of ``join``."""
+        folder = self.folder / name
+        folder.mkdir()
+        port = free_port()
+        links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.port}"]}} if join else {}
+        config: dict[str, Any] = {
+            "name": name,
+            "state": str(folder / "state"),
+            "hub": {"listen": f"tcp/127.0.0.1:{port}", "router_zenoh": links},
+            **{side: {"enabled": False} for side in ("ros1", "ros2")},
+            **{n.side: {**n.settings(), "node": node} for n in networks},
+        }
+        config["ros1"].update({"poll": 0.1} if "master" in config["ros1"] else {})
+        file = folder / "midspan.yaml"
+        file.write_text(yaml.safe_dump(config))
+        made = Daemon(name, file, port, [n.side for n in networks])
+        self.daemons.append(made)
+        return made
+
+    def start(self, *daemons: Daemon) -> None:
+        """Start them in the same moment, and wait until each worker has found its part."""
+        for daemon in daemons:
+            daemon.start()
+        for daemon in daemons:
+            for side in daemon.sides:
+                until(
+                    lambda d=daemon, s=side: self._settled(d, s), f"{daemon.name}'s {side} has settled", 60, every=0.2
+                )
+
+    @staticmethod
+    def _settled(daemon: Daemon, side: str) -> bool:
+        assert daemon.process is not None
+        assert daemon.process.popen.poll() is None, daemon.process.output()[-5000:]
+        return daemon.status(side).get("state") in ("running", "standby")
+
+    def program(self, network: Network) -> Peer:
+        """A native program."""
+        self._names += 1
+        peer = network.program(f"program_{self._names}")
+        self._open.append(peer)
+        return peer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        for daemon in self.daemons:
+            if kind is not None and daemon.process is not None:
+                print(f"--- {daemon.name}\n{daemon.process.output()[-6000:]}")
+            daemon.close()
+        for thing in reversed(self._open):
+            getattr(thing, "stop", getattr(thing, "close", None))()
+
+
+class Flow:
+    """Numbers from one program to others, counted."""
+
+    def __init__(self, source: Peer, topic: str, *sinks: Peer, first: int = 0) -> None:
+        self.source, self.sinks, self._first = source, sinks, first
+        self._heard = [sink.subscribe(topic, STRING, depth=1000) for sink in sinks]
+        self._out = source.advertise(topic, STRING, depth=1000, queue=1000)
+
+    def until_through(self) -> None:
+        """Publish now and then until each sink has heard something."""
+
+        def through() -> bool:
+            self.source.publish(self._out, {"data": str(self._first)})
+            self._first += 1
+            return all(tally["received"] for tally in self.tallies())
+
+        until(through, "every sink hears the source", 30, every=0.1)
+
+    def start(self, count: int, rate: float) -> None:
+        """Publish so many numbers, beside whatever else is done."""
+        self.source.ask("count", id=self._out, first=self._first, count=count, rate=rate)
+        self._first += count
+
+    def end(self, *, now: bool = False) -> int:
+        """Wait until all is published; how many."""
+        return int(self.source.ask("counted", id=self._out, now=now)["sent"])
+
+    def tallies(self, since: float = 0.0) -> list[dict[str, Any]]:
+        """What each sink has heard."""
+        return [s.ask("tally", id=i, since=since) for s, i in zip(self.sinks, self._heard, strict=True)]
+
+    def duplicates(self) -> int:
+        """Numbers that any sink has heard more than once."""
+        return sum(t["received"] - t["distinct"] for t in self.tallies())
+
+    def next_after(self, at: float) -> float:
+        """Seconds from a moment until the first message that every sink has heard since."""
+        tallies = until(lambda: self._all_after(at), "messages go on", 30, every=0.02)
+        return max(t["next"] for t in tallies) - at
+
+    def _all_after(self, at: float) -> list[dict[str, Any]]:
+        tallies = self.tallies(at)
+        return tallies if all(t["next"] is not None for t in tallies) else []
+
+
+def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
+    """Two daemons, started in the same moment, that join the same ROS 1 and ROS 2 networks."""
+    networks = [several.ros1(), several.ros2()]
+    first = several.daemon("first", *networks)
+    second = several.daemon("second", *networks, join=first if joined else None, node=node)
+    several.start(first, second)
+    return [first, second], networks
+
+
+def triangle(several: Several, *, joined: bool) -> tuple[list[Daemon], list[Network]]:
+    """Three networks, each two of them joined; by hubs of their own, or by hubs that are joined too."""
+    one, two, three = several.ros1(), several.ros2(), several.ros1()
+    first = several.daemon("one_two", one, two)
+    second = several.daemon("two_three", two, three, join=first if joined else None)
+    # A daemon joins one ROS 1 network; the third side joins two, by two workers on one hub, as on two machines.
+    third = several.daemon("one", one, join=first if joined else None)
+    fourth = several.daemon("three", three, join=third)
+    daemons = [first, second, third, fourth]
+    several.start(*daemons)
+    return daemons, [one, two, three]
+
+
+def flows(several: Several, networks: list[Network]) -> list[Flow]:
+    """From each network to all others, messages through in each."""
+    programs = [several.program(n) for n in networks]
+    made = [
+        Flow(source, f"/from_{number}", *(p for p in programs if p is not source))
+        for number, source in enumerate(programs)
+    ]
+    for flow in made:
+        flow.until_through()
+    return made
+
+
+def pour(made: list[Flow], count: int, rate: float) -> None:
+    """Publish so many numbers on each flow at once, and wait until nothing more comes."""
+    for flow in made:
+        flow.start(count, rate)
+    for flow in made:
+        flow.end()
+    quiet(made)
+
+
+def quiet(made: list[Flow]) -> None:
+    """Wait until nothing comes any more."""
+    before: list[Any] = []
+
+    def still() -> bool:
+        nonlocal before
+        now = [f.tallies() for f in made]
+        same, before = now == before, now
+        return same
+
+    until(still, "nothing more comes", 60, every=1.0)

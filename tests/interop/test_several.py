@@ -1,0 +1,100 @@
+"""Several real daemons on the same networks: one carries, nothing twice, and another takes over."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.interop.several import Daemon, Flow, Several, flows, pour, quiet, ring, triangle
+from tests.support.wait import until
+
+TAKEOVER_SECONDS = 2.0
+COUNT = 2000
+RATE = 1000.0
+
+
+@pytest.fixture
+def several(tmp_path: Path) -> Iterator[Several]:
+    """Daemons and networks that the test makes itself."""
+    with Several(tmp_path) as made:
+        yield made
+
+
+def active(daemons: list[Daemon], side: str) -> list[str]:
+    """The daemons that are active on a side."""
+    return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
+
+
+@pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
+def test_a_ring_of_two_started_at_once_brings_nothing_twice(several: Several, joined: bool, node: str) -> None:
+    daemons, networks = ring(several, joined=joined, node=node)
+    carry(flows(several, networks), COUNT, RATE)
+    for side in ("ros1", "ros2"):
+        (name,) = active(daemons, side)
+        (other,) = (d for d in daemons if d.name != name)
+        assert other.status(side)["standby"] == name
+        said = other.explain(side, "/from_0")
+        assert said, said
+        assert any(line["decision"] == "standby" and name in line["reason"] for line in said) or not joined, said
+
+
+@pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
+def test_a_triangle_brings_nothing_twice(several: Several, joined: bool) -> None:
+    _, networks = triangle(several, joined=joined)
+    carry(flows(several, networks), COUNT, RATE / 2)
+
+
+def carry(made: list[Flow], count: int, rate: float) -> None:
+    """Publish on all flows at once: each number reaches each sink, once."""
+    pour(made, count, rate)
+    for flow in made:
+        tallies = flow.tallies()
+        assert all(t["distinct"] >= count for t in tallies), tallies
+        assert not flow.duplicates(), tallies
+
+
+@pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
+def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joined: bool) -> None:
+    daemons, networks = ring(several, joined=joined)
+    made = flows(several, networks)
+    state = several.program(networks[0])
+    latched = state.advertise("/state", "std_msgs/String", latched=True)
+    state.publish(latched, {"data": "kept"})
+    for flow in made:
+        flow.start(100_000, 200)
+    (name,) = set(active(daemons, "ros2"))
+    (killed,) = (d for d in daemons if d.name == name)
+    at = killed.kill()
+    took = [flow.next_after(at) for flow in made]
+    print(f"taken over after {took}")
+    assert max(took) <= TAKEOVER_SECONDS
+    late = several.program(networks[1])
+    heard = late.subscribe("/state", "std_msgs/String", latched=True, depth=10)
+    assert [m["data"] for m in late.wait(heard, 1, 10)] == ["kept"]
+    several.start(killed)
+    until(lambda: killed.status("ros2").get("standby"), "the first one stands by", 30, every=0.2)
+    for flow in made:
+        flow.end(now=True)
+    quiet(made)
+    assert not [f.duplicates() for f in made if f.duplicates()]
+
+
+def test_one_that_stood_still_brings_nothing_twice(several: Several) -> None:
+    daemons, networks = ring(several, joined=True)
+    made = flows(several, networks)
+    for flow in made:
+        flow.start(100_000, 200)
+    (name,) = set(active(daemons, "ros2"))
+    (stopped,) = (d for d in daemons if d.name == name)
+    at = stopped.signal(signal.SIGSTOP)
+    took = [flow.next_after(at + 0.5) + 0.5 for flow in made]
+    print(f"taken over after {took}")
+    stopped.signal(signal.SIGCONT)
+    until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it goes on", 30, every=0.2)
+    for flow in made:
+        flow.end(now=True)
+    quiet(made)
+    assert not [f.duplicates() for f in made if f.duplicates()]
