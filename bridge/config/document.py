@@ -98,6 +98,7 @@ def _text(file: Path) -> str:
 def parse(file: Path, text: str, *, repeating: KeyPath | None = None) -> Document:
     """Parse a file's text; see `read`."""
     yaml = YAML(typ="safe", pure=True)
+    yaml.composer.warn_double_anchors = False  # YAML 1.2 allows it; ruamel.yaml would write to stderr
     try:
         root = yaml.compose(io.StringIO(text))
     except MarkedYAMLError as err:

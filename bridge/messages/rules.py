@@ -144,7 +144,7 @@ def load_rules(file: Path) -> list[MessageRule | ServiceRule]:
     """
     try:
         entries = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as err:
+    except (OSError, RecursionError, ValueError, yaml.YAMLError) as err:
         msg = f"cannot read the mapping rules {file}: {err}"
         raise MessageTypeError(msg) from None
     if entries is None:

@@ -59,7 +59,7 @@ class _Worker:
         path.write_bytes(bytes(JOURNAL))
         self._journal = Journal(path)
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.fuzz.child", str(path)],
+            [sys.executable, "-W", "ignore", "-m", "tests.fuzz.child", str(path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             cwd=Path(__file__).parents[2],

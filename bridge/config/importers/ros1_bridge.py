@@ -87,7 +87,9 @@ def draft(file: Path, mapping_rules: Sequence[Path] = ()) -> tuple[Draft, list[P
         ConfigError: with all that is wrong in the file.
     """
     document = read(file)
-    if isinstance(document.data, list) and any("ros1_package_name" in entry for entry in document.data):
+    if isinstance(document.data, list) and any(
+        isinstance(entry, dict) and "ros1_package_name" in entry for entry in document.data
+    ):
         text = "is a list of mapping rules; give the parameter file, and this one with --mapping-rules"
         raise ConfigError([Problem(file, 0, 0, "", text)])
     if not isinstance(document.data, dict) or not document.data.keys() & set(_KNOWN):

@@ -93,8 +93,8 @@ _PEERS = {
     ),
 }
 _PEER_WORDS = texts(
-    "topics:\n", "type: ", "remap: ", "qos: ", "queue_size: ", "from_domain: ", "~/", "topics: []", "services_1_to_2:\n",
-    "~", "-1", "1e9", "- 5\n", "ros1_package_name: a\n",
+    "topics:\n", "type: ", "remap: ", "qos: ", "queue_size: ", "from_domain: ", "~/", "topics: []",
+    "services_1_to_2:\n", "~", "-1", "1e9", "- 5\n", "ros1_package_name: a\n",
 )  # fmt: skip
 
 TARGETS = (
