@@ -15,6 +15,7 @@ from bridge.hub.graph import HubGraph
 from bridge.hub.history import History
 from bridge.hub.publisher import cache_depth
 from bridge.hub.qos import Qos, Reliability
+from bridge.hub.receiving import keep_thread_state
 
 _log = logging.getLogger(__name__)
 _MAX_SOURCES = 4096
@@ -226,14 +227,18 @@ class HubSubscription:
     # -- both ----------------------------------------------------------------------------------------------------------
 
     def _read(self, sample: zenoh.Sample) -> HubSample | None:
-        if self._closed or sample.kind != zenoh.SampleKind.PUT:
+        keep_thread_state()
+        if self._closed:
             return None
         payload, attached = sample.payload, sample.attachment
+        size = len(payload)
+        if not size and sample.kind != zenoh.SampleKind.PUT:
+            return None
         if attached is None:
             self._refuse("bad", "a sample without the attachment that rmw_zenoh puts on each")
             return None
-        if len(payload) > self._limit:
-            self._refuse("large", f"message of {len(payload)} bytes, the limit is {self._limit}")
+        if size > self._limit:
+            self._refuse("large", f"message of {size} bytes, the limit is {self._limit}")
             return None
         try:
             sequence, time_ns, gid = attachment.unpack(attached.to_bytes())
