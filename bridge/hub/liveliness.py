@@ -176,8 +176,8 @@ def _head(owner: NodeToken, entity: str, letters: str) -> str:
 
 def _split(key: str, space: str) -> list[str]:
     parts = key.split("/", 16)
-    if len(key) > _MAX_TOKEN or parts[0] != space or not all(parts):
-        msg = "token is too long, has empty parts, or is in another space"
+    if len(key) > _MAX_TOKEN or parts[0] != space or not all(parts) or "*" in key:
+        msg = "token is too long, has empty parts or wildcards, or is in another space"
         raise WireError(msg)
     return parts
 

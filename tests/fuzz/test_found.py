@@ -29,6 +29,7 @@ FOUND = [
     ("ros2_prefixes", b"\x9f"),
     ("lock", b'{"pid":1e999,"machine":"","owner":""}'),
     ("lock", b"[" * 3000),
+    ("token", b"@ros2_lv/0/c/:/0/MS/%/%/t/9/d::msg::dds_::S_/*/::,:,:,0:,,"),
     ("mapping_rules", b"[" * 1000),
     ("ros1_bridge", b"- 5"),
     ("config", b"name: &a x\nlog: &a {level: debug}"),

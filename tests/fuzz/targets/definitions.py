@@ -177,7 +177,64 @@ def _mapping_rules() -> Subject:
     return Subject(parse, seeds, (MessageTypeError,), words, largest=1024)
 
 
+def _any_type() -> Subject:
+    """A definition, ``~``, and a message of it: compiled, and run on memory with forbidden pages around."""
+    from bridge.messages.compiler import compile_check, compile_pair
+    from bridge.messages.json import from_json
+    from bridge.messages.machine import run
+    from bridge.messages.ops import DIRTY
+    from bridge.messages.pairing import pair_types
+    from bridge.messages.registry import Registry
+    from bridge.messages.rules import Rules
+    from bridge.messages.transcoder import _error
+    from tests.messages.guarded import SIZE, Guarded
+    from tests.messages.samples import sample
+
+    rules = Rules()
+    source, target = Guarded(), Guarded()
+    fresh = [Registry(), 0]
+
+    def parse(data: bytes) -> None:
+        if fresh[1] % 300 == 0:
+            fresh[0] = Registry()
+        fresh[1] += 1
+        text, _, message = data.partition(b"~\n")
+        registry = fresh[0]
+        registry.learn_ros1("a_msgs/A", text.decode(errors="replace"))
+        ros1 = registry._find_ros1("a_msgs/A", "")
+        ros2 = registry._to_ros2(ros1)
+        table = pair_types(ros1, ros2, rules)
+        there = compile_pair(ros1, ros2, lambda a, b: table[a, b].fields)
+        back = compile_pair(ros2, ros1, lambda a, b: [(two, one) for one, two in table[b, a].fields])
+        refusals: list[ConversionError] = []
+        for program in (there, back, compile_check(ros2)):
+            memory = program.assemble()
+            for place, out in ((source.put, target.end), (source.put_first, 0)):
+                at = place(message[:SIZE])
+                size = run(memory.ctypes.data, at, len(message), 0)
+                if size < 0:
+                    refusals.append(_error(program, size))
+                elif size & ~DIRTY <= SIZE:
+                    size &= ~DIRTY
+                    written = run(memory.ctypes.data, at, len(message), out - size if out else target.start)
+                    assert written & ~DIRTY == size, (written, size)
+        if len(refusals) == 6:
+            raise refusals[0]
+
+    seeds = []
+    for text in (seed for seed in _SEEDS if "wstring" not in seed):
+        registry = Registry()
+        conversion = registry.ros1_to_hub("a_msgs/A", "*", text)
+        cdr = from_json(registry, conversion.target.name, sample(registry.schema(conversion.target.name)))
+        convert = registry.hub_to_ros1(conversion.target.name).convert
+        assert convert is not None
+        seeds += [text.encode() + b"~\n" + message for message in (cdr, convert(cdr))]
+    words = [*_WORDS, b"~\n", b"\0\1\0\0", b"\3\0\0\0", b"\0\0\0\0"]
+    return Subject(parse, seeds, (MessageTypeError, ConversionError), words, 2048)
+
+
 TARGETS = (
+    Target("any_type", 4_000, _any_type),
     Target("definition", 12_000, _definition),
     Target("header_type", 3_000, _header_type),
     Target("hub_type", 3_000, _hub_type),
