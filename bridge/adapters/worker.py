@@ -9,9 +9,11 @@ from pathlib import Path
 
 from bridge.adapters.base import Edge
 from bridge.adapters.crossing import Crossing
-from bridge.adapters.memory import keep_memory
+from bridge.adapters.memory import keep_memory, keep_objects
 from bridge.config.model import Config
-from bridge.config.state import state_folder
+from bridge.config.state import worker_folder
+from bridge.hub import pools
+from bridge.hub.runtime import receive_on_one_thread
 from bridge.messages.registry import Registry
 from bridge.worker import Health, Worker
 
@@ -50,10 +52,15 @@ class BridgeWorker(Worker):
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
+        receive_on_one_thread()
+        removed = pools.clean()
+        if removed:
+            _log.info("removed %d shared-memory files of dead zenoh sessions", removed)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
-        for name, edge in make_edges(self.side, config, registry, state_folder(config)).items():
+        for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():
             told = self.side in EDGES  # on foreign keys nobody expects our diagnostics
             self._crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
+        keep_objects()
 
     def reload(self, config: Config) -> bool:
         """Take up new rules; other changes of what it uses need a restart."""

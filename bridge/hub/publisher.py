@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from enum import Enum
+from functools import partial
 from threading import Lock
 from typing import Any, Protocol
 
@@ -33,7 +34,7 @@ class Priority(Enum):
 
 
 class _Sink(Protocol):
-    def send(self, payload: bytes, attached: bytes, number: int) -> None: ...
+    def send(self, payload: bytes, attached: bytes) -> None: ...
     def matched(self) -> bool: ...
     def close(self) -> None: ...
 
@@ -55,11 +56,11 @@ class _PlainSink:
             express=options.express,
             allowed_destination=zenoh.Locality.REMOTE,
         )
-        self._id = self._publisher.id
+        # of the source info only the session's id is read; the attachment numbers the samples
+        self._put = partial(self._publisher.put, source_info=zenoh.SourceInfo(self._publisher.id, 0))
 
-    def send(self, payload: bytes, attached: bytes, number: int) -> None:
-        info = zenoh.SourceInfo(self._id, number & 0xFFFFFFFF)
-        self._publisher.put(payload, attachment=attached, source_info=info)
+    def send(self, payload: bytes, attached: bytes) -> None:
+        self._put(payload, attachment=attached)
 
     def matched(self) -> bool:
         return _matching(self._publisher)
@@ -93,7 +94,7 @@ class _LatchedSink:
         # the wheel's AdvancedPublisher does not tell whether it is matched
         self._shadow = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
 
-    def send(self, payload: bytes, attached: bytes, _number: int) -> None:
+    def send(self, payload: bytes, attached: bytes) -> None:
         self._publisher.put(payload, attachment=attached)
 
     def matched(self) -> bool:
@@ -178,7 +179,7 @@ class HubPublisher:
             self._sequence += 1
             attached = attachment.pack(self._sequence, source_time_ns, self.gid)
             try:
-                self._sink.send(payload, attached, self._sequence)
+                self._sink.send(payload, attached)
             except zenoh.ZError as err:
                 msg = f"cannot publish on {self.topic}: {zenoh_reason(err)}"
                 raise HubClosedError(msg) from None

@@ -70,6 +70,7 @@ class OutRoute(Route):
         self._queue: deque[HubSample] = deque()
         self._queued_bytes = 0
         self._lock = threading.Lock()
+        self._publishing = threading.Lock()
         self._pending: deque[tuple[float, HubSample]] = deque(maxlen=MAX_PENDING)
         self._latched: EdgePublisher | None = None
         self._volatile: EdgePublisher | None = None
@@ -141,29 +142,44 @@ class OutRoute(Route):
         self.bad(why, reason)
 
     def _received(self, sample: HubSample) -> None:
-        """Append and wake; runs on zenoh's receiving thread."""
+        """Publish a small message, append a large one and wake; runs on zenoh's receiving thread.
+
+        Messages stay in order: nothing is published here while one is queued or being published elsewhere.
+        """
         size = len(sample.payload)
         with self._lock:
             if self._limit is not None and self._priority is not Priority.STATE and not self._limit.passes():
                 self.counters.dropped("rate")
                 return
-            self._queue.append(sample)
-            self._queued_bytes += size
-            while len(self._queue) > self._depth or (self._queued_bytes > QUEUE_BYTES and len(self._queue) > 1):
-                self._queued_bytes -= len(self._queue.popleft().payload)
-                self.counters.dropped("queue")
-            if size > BULK and len(self._queue) == 1:
-                self._dispatcher = self._joint.bulk
+            at_once = size <= BULK and not self._queue and self._publishing.acquire(blocking=False)
+            if not at_once:
+                self._append(sample, size)
             dispatcher = self._dispatcher
-        dispatcher.submit(self._priority, self._next)
+        if not at_once:
+            dispatcher.submit(self._priority, self._next)
+            return
+        try:
+            dispatcher.here(lambda: self._handle(sample))
+        finally:
+            self._publishing.release()
+
+    def _append(self, sample: HubSample, size: int) -> None:
+        self._queue.append(sample)
+        self._queued_bytes += size
+        while len(self._queue) > self._depth or (self._queued_bytes > QUEUE_BYTES and len(self._queue) > 1):
+            self._queued_bytes -= len(self._queue.popleft().payload)
+            self.counters.dropped("queue")
+        if size > BULK and len(self._queue) == 1:
+            self._dispatcher = self._joint.bulk
 
     def _next(self) -> None:
-        with self._lock:
-            if not self._queue:
-                return
-            sample = self._queue.popleft()
-            self._queued_bytes -= len(sample.payload)
-        self._handle(sample)
+        with self._publishing:
+            with self._lock:
+                if not self._queue:
+                    return
+                sample = self._queue.popleft()
+                self._queued_bytes -= len(sample.payload)
+            self._handle(sample)
 
     def _source_of(self, sample: HubSample) -> _Source | None:
         known = self._sources.get(sample.gid)
@@ -188,7 +204,8 @@ class OutRoute(Route):
             since, sample = self._pending.popleft()
             source = self._source_of(sample)
             if source is not None:
-                self._publish(sample, source)
+                with self._publishing:
+                    self._publish(sample, source)
             elif sample.gid not in self._refused and now - since < 2.0:
                 self._pending.append((since, sample))
             elif sample.gid not in self._refused:

@@ -1,0 +1,39 @@
+"""The dispatcher, and the order of what routes publish on whatever thread."""
+
+from __future__ import annotations
+
+import threading
+
+from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.priority import Priority
+from tests.support.wait import until
+
+
+def test_work_on_the_callers_thread_is_watched() -> None:
+    dispatcher = Dispatcher("test")
+    inside, go_on = threading.Event(), threading.Event()
+
+    def work() -> None:
+        inside.set()
+        go_on.wait(10)
+
+    thread = threading.Thread(target=dispatcher.here, args=(work,))
+    thread.start()
+    assert inside.wait(10)
+    until(lambda: dispatcher.stuck_for() > 0.01, "the work under way is seen", 10)
+    go_on.set()
+    thread.join()
+    assert dispatcher.stuck_for() == 0.0
+
+
+def test_work_that_fails_stops_nothing() -> None:
+    dispatcher = Dispatcher("test")
+    dispatcher.start()
+    done = threading.Event()
+    try:
+        dispatcher.here(lambda: 1 // 0)  # type: ignore[arg-type]
+        dispatcher.submit(Priority.STREAM, lambda: 1 // 0)  # type: ignore[arg-type]
+        dispatcher.submit(Priority.STREAM, done.set)
+        assert done.wait(10)
+    finally:
+        dispatcher.stop()
