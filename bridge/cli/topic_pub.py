@@ -132,7 +132,7 @@ def _fields(text: str) -> dict[str, Any]:
     """The fields from YAML 1.2 or JSON."""
     try:
         value = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as err:
+    except (RecursionError, TypeError, ValueError, YAMLError) as err:
         raise CliError(f"the message is neither YAML nor JSON: {err}") from None
     if value is None:
         return {}

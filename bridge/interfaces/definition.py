@@ -22,7 +22,7 @@ ROS1_TYPES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces
 
 _PACKAGE = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _TYPE = re.compile(r"[A-Z][A-Za-z0-9]*")
-_CONSTANT = re.compile(r"[A-Z]([A-Z0-9_]?[A-Z0-9]+)*")
+_CONSTANT = re.compile(r"[A-Z](?:_?[A-Z0-9])*")
 _VALUE = re.compile(r"[ -\[\]-~]*")  # printable ASCII but the backslash: rosidl garbles the rest on the way to C
 _FIELD_TYPE = re.compile(r"(?P<base>[A-Za-z0-9_/]+)(?P<bound><=[1-9]\d*)?(?P<array>\[(?:(?:<=)?[1-9]\d*)?\])?")
 

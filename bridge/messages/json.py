@@ -9,7 +9,6 @@ is an error.
 from __future__ import annotations
 
 import base64
-import binascii
 import difflib
 import math
 import struct
@@ -216,7 +215,7 @@ def _items(kind: FieldType, value: Any, where: str) -> Sequence[Any] | bytes:
     if kind.base in OCTETS and isinstance(value, str):
         try:
             return base64.b64decode(value, validate=True)
-        except binascii.Error as err:
+        except ValueError as err:  # binascii.Error, or what is no ASCII
             raise ConversionError(f"{where} is no base64 text: {err}") from None
     if kind.base in OCTETS and isinstance(value, bytes | bytearray):
         return bytes(value)

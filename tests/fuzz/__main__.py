@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.fuzz.run import warm
 from tests.fuzz.shrink import probe
 from tests.fuzz.target import Target
 from tests.fuzz.targets import TARGETS
@@ -62,7 +63,9 @@ def shares(targets: Sequence[Target], inputs: int) -> dict[Target, int]:
 
 def _look(targets: Sequence[Target], file: Path) -> int:
     for target in targets:
-        how = probe(target.make(), file.read_bytes())
+        subject = target.make()
+        warm(subject)
+        how = probe(subject, file.read_bytes())
         print(f"{target.name}: {how or 'as promised'}")
         if how:
             return 1

@@ -67,7 +67,7 @@ class Journal:
 
 def fuzz(subject: Subject, inputs: int, seed: str, journal: Callable[[int, bytes], None]) -> list[Finding]:
     """Give a parser so many inputs; what it did not take as it promises, one for each kind of failure."""
-    if not any(_is_good(subject, content) for content in subject.seeds):
+    if not warm(subject):
         return [Finding("no good seed", subject.seeds[0], "the target's seeds are all refused")]
     mutator = Mutator(subject.seeds, subject.words, subject.largest, seed)
     findings: dict[str, Finding] = {}
@@ -109,6 +109,12 @@ def _give(subject: Subject, content: bytes, *, trace: bool) -> tuple[set[Any], F
     if taken > SECONDS:
         return way, Finding("slow", content, f"took {taken:.1f} s of processor time")
     return way, None
+
+
+def warm(subject: Subject) -> bool:
+    """Give a parser its good inputs, so that all is loaded before memory is limited; whether it takes any."""
+    good = [_is_good(subject, content) for content in subject.seeds]
+    return any(good)
 
 
 def _is_good(subject: Subject, content: bytes) -> bool:

@@ -8,7 +8,7 @@ import select
 import signal
 import time
 
-from tests.fuzz.run import finding_of, limit_memory
+from tests.fuzz.run import finding_of, limit_memory, warm
 from tests.fuzz.target import Subject
 
 _TRIES = 400
@@ -18,6 +18,7 @@ _PROCESSOR_SECONDS = 4
 
 def shrunk(subject: Subject, content: bytes) -> tuple[str, bytes]:
     """How the input fails ("" where it does not), and the shortest one found that does the same."""
+    warm(subject)
     signature = probe(subject, content)
     if not signature:
         return "", content

@@ -42,6 +42,7 @@ def texts(*lines: str) -> list[bytes]:
 
 
 JSON_WORDS = (
-    b"null", b"true", b"[]", b"{}", b"-1", b"1e999", b"NaN", b'"\\ud800"', b"9" * 5000, b"[" * 3000, b'{"a":' * 3000,
+    b"null", b"true", b"[]", b"{}", b"-1", b"1e999", b"NaN", b'"\\ud800"', b'"\xc3\xa9"', b'"AAA="',
+    b"9" * 5000, b"[" * 3000, b'{"a":' * 3000,
 )  # fmt: skip
 """What a JSON document may hold that its reader does not expect."""

@@ -109,10 +109,10 @@ class RpcClient:
                     raise
                 self._http.close()
                 answer = self._exchange(body, deadline)
-        except (OSError, http.client.HTTPException) as err:
+        except (OSError, ValueError, http.client.HTTPException) as err:  # ValueError: a chunk of negative length
             self._http.close()
             msg = f"{self.uri} does not answer: {str(err) or type(err).__name__}"
-            if isinstance(err, http.client.HTTPException):
+            if isinstance(err, ValueError | http.client.HTTPException):
                 raise ProtocolError(msg) from None
             raise UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError)) from None
         if self._last is not None and self._last[0] == body and self._last[1] == answer:

@@ -23,7 +23,8 @@ def _pub() -> Subject:
     seeds = texts(
         "{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}"
     )
-    words = texts("{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "!!timestamp 2001-01-01",
+    words = texts("{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "? {a: b}",
+                  "{[a]: b}", "!!timestamp 2001-01-01",
     "? ", "- ", ".nan", "0o7",
                   "2001-12-14 21:59:43", "!!binary x", "'", '"', "| ", "~", "\t")  # fmt: skip
     return Subject(parse, seeds, (CliError, ConversionError), words, largest=512)

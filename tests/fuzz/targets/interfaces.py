@@ -35,6 +35,9 @@ def _package() -> Subject:
         ".msg",
         "\x00",
         "\u2028",
+        "A" * 40,
+        "A_" * 20,
+        "a_" * 20,
     )
     return Subject(parse, seeds, (BuildError,), words)
 
