@@ -46,7 +46,7 @@ def main() -> None:
             return
 
     options = {
-        "dict": words,
+        **({"dict": words} if short else {}),
         "max_total_time": args.seconds,
         "max_len": subject.largest,
         "timeout": 4,
@@ -56,4 +56,5 @@ def main() -> None:
     atheris.Fuzz()
 
 
-main()
+if __name__ == "__main__":
+    main()
