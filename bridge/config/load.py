@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from bridge.config import hints
+from bridge.config.commands import untyped
 from bridge.config.document import Document, KeyPath, parse, read
 from bridge.config.model import Config
 from bridge.config.problems import ConfigError, Problem
@@ -57,6 +58,8 @@ def _config(document: Document) -> Config:
         config = Config.model_validate(_without_empty(data, Config))
     except ValidationError as err:
         raise ConfigError(hints.problems(document, Config, err.errors(include_url=False))) from err
+    if config.hub.open.opened and (vague := untyped(config.routing)):
+        raise ConfigError([document.problem(("routing", "rules", rule.index), rule.text) for rule in vague])
     missing: list[Problem] = []
     placed: Config = _placed(config, (), document, missing)
     if missing:

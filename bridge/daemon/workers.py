@@ -73,7 +73,11 @@ class WorkerKind:
 
     def config_part(self, config: Config) -> dict[str, Any]:
         """The part of the configuration that it uses, for comparison."""
-        return {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
+        part = {name: getattr(config, name) for name in sorted({"name", "state", "hub", "log", *self.sections})}
+        if self.name != "router":
+            return {**part, "hub": config.hub.indoors}
+        # the rules tell its door what commands are
+        return {**part, "routing": config.routing} if config.hub.open.opened else part
 
 
 def _side(name: str) -> WorkerKind:

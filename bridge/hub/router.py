@@ -12,15 +12,17 @@ import os
 import socket
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import psutil
 import zenoh
 
+from bridge.config.commands import commands
 from bridge.config.model import Config
 from bridge.hub.control import Control
+from bridge.hub.door import Door, check_closed
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.liveliness import MIDSPAN_SPACE
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
@@ -28,6 +30,9 @@ from bridge.worker import Health, Worker
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
+_DOOR_SECONDS = 5.0
+_REOPEN_SECONDS = 0.3
+"""zenoh's routers look every 0.1 s who is there; one that takes another's place sooner hears of no subscription."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +106,15 @@ class RouterWorker(Worker):
     """Runs a router at ``hub.listen``.
 
     With ``hub.router: auto`` and another router there already, that one is used, and this one stands by and takes over
-    when the other is gone.
+    when the other is gone. With ``hub.open`` it opens the door to other machines besides; where that cannot be opened
+    this machine's programs have their router all the same, and it is tried again.
     """
 
     def __init__(self) -> None:
         self._config: Config | None = None
+        self._door: Door | None = None
+        self._door_trouble = ""
+        self._door_again = 0.0
         self._session: zenoh.Session | None = None
         self._control: Control | None = None
         self._other = ""
@@ -130,33 +139,72 @@ class RouterWorker(Worker):
                 raise RuntimeError(msg) from None
             self._other = who
             _log.info("%s is at %s already and is used", who, hub.listen)
+        self._open_door(config)
 
     def reload(self, config: Config) -> bool:
-        """Nothing of a router can change while it runs."""
+        """The door alone can change while the router runs."""
         old = self._config
-        return old is not None and config.name == old.name and config.hub == old.hub
+        if old is None or config.name != old.name or config.hub.indoors != old.hub.indoors:
+            return False
+        self._config = config
+        if config.hub.open != old.hub.open or commands(config.routing) != commands(old.routing):
+            if self._door is not None:
+                self._close_door()
+                time.sleep(_REOPEN_SECONDS)
+            self._open_door(config)
+        return True
 
     def health(self) -> Health:
         """A question to the router itself, over zenoh."""
         assert self._config is not None
+        if self._door is None and time.monotonic() > self._door_again:
+            self._open_door(self._config)
         session = self._session
         if session is None:
             session = self._take_over(self._config)
         if session is None:
-            return Health("standby", f"{self._other} is used")
+            return Health("standby", f"{self._other} is used{self._door_text()}")
         if not list(session.get(_identity_key(session), timeout=_ANSWER_SECONDS)):
             msg = f"the router does not answer within {_ANSWER_SECONDS:g} s"
             raise TimeoutError(msg)
-        return Health("running", f"{len(session.info.transports())} sessions at {self._config.hub.listen}")
+        sessions = f"{len(session.info.transports())} sessions at {self._config.hub.listen}"
+        return Health("running", f"{sessions}{self._door_text()}")
 
     def stop(self) -> None:
         """Close the router; its peers keep their direct links."""
+        self._close_door()
         control, self._control = self._control, None
         session, self._session = self._session, None
         if control is not None:
             control.close()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
+
+    def _open_door(self, config: Config) -> None:
+        if not config.hub.open.opened:
+            return
+        try:
+            self._door = Door(config)
+        except HubError as err:
+            if str(err) != self._door_trouble:
+                _log.error("hub.open: %s", err)
+            self._door_trouble = str(err)
+            self._door_again = time.monotonic() + _DOOR_SECONDS
+            return
+        self._door_trouble = ""
+        if config.hub.open.insecure:
+            _log.warning("hub.open.insecure: whoever reaches %s may join the hub", ", ".join(config.hub.open.listen))
+
+    def _close_door(self) -> None:
+        door, self._door = self._door, None
+        self._door_trouble, self._door_again = "", 0.0
+        if door is not None:
+            door.close()
+
+    def _door_text(self) -> str:
+        if self._door_trouble:
+            return f"; closed to other machines: {self._door_trouble}"
+        return "" if self._door is None else f"; {len(self._door.machines())} other machines"
 
     def _take_over(self, config: Config) -> zenoh.Session | None:
         if not port_held(config.hub.listen):
@@ -171,7 +219,8 @@ class RouterWorker(Worker):
     def _open(self, config: Config) -> None:
         hub = config.hub
         try:
-            zenoh_config = make_config(router_tree(hub.listen, max_payload=MAX_PAYLOAD), hub.router_zenoh)
+            zenoh_config = make_config(router_tree([hub.listen], max_payload=MAX_PAYLOAD), hub.router_zenoh)
+            check_closed(zenoh_config)
         except HubError as err:
             msg = f"hub.router_zenoh: {err}"
             raise RuntimeError(msg) from None
@@ -203,9 +252,10 @@ class RouterWorker(Worker):
             "rss": self._process.memory_info().rss,
             "listen": config.hub.listen,
             "sessions": len(session.info.transports()),
+            "machines": [asdict(machine) for machine in self._door.machines()] if self._door else [],
             "routes": [],
             "refused": [],
-            "warnings": [],
+            "warnings": [f"hub.open: {self._door_trouble}"] if self._door_trouble else [],
         }
 
 

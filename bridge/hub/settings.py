@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +55,11 @@ def session_tree(router: str | None, *, shared_memory: bool, max_payload: int) -
     return tree
 
 
-def router_tree(listen: str, *, max_payload: int) -> Tree:
-    """Configuration of the router; it passes on shared memory's contents as bytes."""
+def router_tree(listen: Sequence[str], *, max_payload: int) -> Tree:
+    """Configuration of a router; it passes on shared memory's contents as bytes."""
     tree = _common_tree(max_payload)
     tree["mode"] = "router"
-    tree["listen"] = {"endpoints": [listen], "exit_on_failure": True}
+    tree["listen"] = {"endpoints": list(listen), "exit_on_failure": True}
     tree["connect"] = {"timeout_ms": -1, "exit_on_failure": False}
     tree["transport"]["shared_memory"] = {"enabled": False}
     return tree

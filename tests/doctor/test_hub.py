@@ -35,10 +35,8 @@ def endpoint(node: str, type_name: str, digit: str, kind: EndpointKind = Endpoin
     ("section", "count"),
     [
         ({}, 1),
-        ({"listen": "tcp/0.0.0.0:7447"}, 2),
-        ({"listen": "tcp/[::1]:7447"}, 1),
-        ({"listen": "tcp/0.0.0.0:7447", "router_zenoh": {"access_control": {"enabled": True}}}, 1),
-        ({"listen": "tls/0.0.0.0:7447", "router_zenoh": {"transport": {"link": {"tls": {"enable_mtls": True}}}}}, 1),
+        ({"open": {"listen": ["tls/0.0.0.0:7448"]}}, 1),
+        ({"open": {"listen": ["tcp/0.0.0.0:7448"], "insecure": True}}, 2),
     ],
 )
 def test_an_open_hub_is_warned_of(section: dict[str, Any], count: int) -> None:

@@ -30,6 +30,8 @@ class HubNetwork:
         router_zenoh: the same for the router.
         protocol: ``tcp`` or ``tls``.
         run: whether the router runs from the start.
+        door: the configuration's ``hub.open``.
+        routing: its ``routing``.
     """
 
     def __init__(
@@ -40,7 +42,11 @@ class HubNetwork:
         protocol: str = "tcp",
         *,
         run: bool = True,
+        door: dict[str, Any] | None = None,
+        routing: dict[str, Any] | None = None,
     ) -> None:
+        self.door = door or {}
+        self._routing = routing or {}
         self.domain = domain
         self.port = free_port()
         self.endpoint = f"{protocol}/127.0.0.1:{self.port}"
@@ -62,11 +68,12 @@ class HubNetwork:
 
     def start_router(self) -> None:
         """Run the router; returns when it listens."""
-        hub = self.config(router=True)
+        hub = self.config(router=True, open=self.door)
         over = self._router_zenoh
         hub["router_zenoh"] = str(over) if isinstance(over, Path) else over
         router = self._router = Process(
-            [sys.executable, ROUTER_PROGRAM, json.dumps({"name": "test", "hub": hub})], {"PYTHONPATH": str(ROOT)}
+            [sys.executable, ROUTER_PROGRAM, json.dumps({"name": "test", "hub": hub, "routing": self._routing})],
+            {"PYTHONPATH": str(ROOT)},
         )
         until(lambda: "listening" in router.output() or router.popen.poll() is not None, "the router listens")
         assert router.popen.poll() is None, router.output()

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
-from bridge.doctor.checks import bridges, clock, daemon, machine, ros1, ros1_names, ros2, router, sharedmemory, types
+from bridge.doctor.checks import (
+    bridges,
+    clock,
+    daemon,
+    keys,
+    machine,
+    ros1,
+    ros1_names,
+    ros2,
+    router,
+    sharedmemory,
+    types,
+)
 from bridge.doctor.finding import Check
 
 CHECKS: tuple[Check, ...] = (
     Check("config", "the configuration", daemon.look_at_config),
     Check("daemon", "the daemon and its workers", daemon.look_at_workers),
     Check("router-port", "the router's port", router.look),
+    Check("keys", "the certificates by which machines join (`hub.open`)", keys.look),
     Check("ros1-packages", "ROS 1 on this machine", ros1.look_at_packages),
     Check("ros1-master", "the ROS 1 master", ros1.look_at_master),
     Check("ros1-environment", "this shell's ROS 1 against the daemon's", ros1.look_at_environment),
@@ -26,4 +39,5 @@ CHECKS: tuple[Check, ...] = (
     Check("shm-size", "room in shared memory", sharedmemory.look_at_size),
     Check("shm-litter", "what dead processes left in shared memory", sharedmemory.look_at_litter),
     Check("descriptors", "the limit of open files", machine.look_at_descriptors),
+    Check("state-folder", "the state folder", machine.look_at_state),
 )

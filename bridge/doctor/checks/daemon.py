@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,14 +14,12 @@ def look_at_config(around: Around) -> Sequence[Finding]:
     if not around.config_good:
         return [fail(line, "mend it; 'midspan config check' says the same") for line in around.config_text.splitlines()]
     findings = [ok(around.config_text)]
-    hub = around.config.hub
-    over = hub.router_zenoh
-    guarded = not isinstance(over, dict) or _has(over, "access_control") or _has(over, "transport", "link", "tls")
-    if not _is_loopback(hub.listen) and (over is None or not guarded):
+    door = around.config.hub.open
+    if door.insecure:
         findings.append(
             warn(
-                f"the hub listens at {hub.listen} without TLS or access control: whoever reaches it can send commands",
-                "give hub.router_zenoh transport/link/tls or access_control, or listen on 127.0.0.1",
+                f"the hub is open without TLS at {', '.join((*door.listen, *door.connect))}: whoever reaches it joins",
+                "certificates ('midspan keys'), and tls/ endpoints in hub.open",
             )
         )
     return findings
@@ -56,19 +53,3 @@ def _worker(document: Any) -> Finding:
     if state in ("running", "standby"):
         return ok(f"{name} is {state}")
     return skip(f"{name} says {state}")
-
-
-def _has(tree: Any, *path: str) -> bool:
-    for part in path:
-        if not isinstance(tree, dict) or not tree.get(part):
-            return False
-        tree = tree[part]
-    return True
-
-
-def _is_loopback(endpoint: str) -> bool:
-    host = endpoint.partition("/")[2].partition("?")[0].rpartition(":")[0].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost" or not endpoint.startswith(("tcp/", "tls/", "udp/", "quic/", "ws/"))
