@@ -6,6 +6,7 @@ import contextlib
 import logging
 import os
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -44,6 +45,8 @@ _log = logging.getLogger(__name__)
 
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _VOLATILE = Qos()
+_CHECK_PERIOD = 2.0
+"""Seconds between two looks for connections whose peers are gone; a look asks the system for each topic."""
 
 
 class Ros1Edge(Edge):
@@ -59,6 +62,8 @@ class Ros1Edge(Edge):
         self._names = names.NameTable()
         self._lock = threading.Lock()
         self._look: Look | None = None
+        self._publishers: frozenset[Link] = frozenset()
+        self._check_due = 0.0
         self._subscriptions: set[_Open] = set()
         self._links = Links(self._caller, self._presence_changed, self._wake_master)
         self._settled = float("-inf")
@@ -195,13 +200,20 @@ class Ros1Edge(Edge):
             return
         changed = look is not self._look
         self._look = look
-        publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
-        self._prober.follow(publishers)
         if changed:
+            publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
+            self._publishers = publishers
             self._names.learn({p.topic for p in publishers} | {s.topic for s in look.subscribers} if look else ())
             self._lanes.forget({p.uri for p in publishers})
-        self._follow_subscriptions()
-        self._node.drop_dead_connections()
+        if changed or self._prober.waiting:
+            self._prober.follow(self._publishers)
+        with self._lock:
+            restless = any(opened.subscription.restless for opened in self._subscriptions)
+        if changed or restless:
+            self._follow_subscriptions()
+        if time.monotonic() >= self._check_due:
+            self._check_due = time.monotonic() + _CHECK_PERIOD
+            self._node.drop_dead_connections()
         self._watch_others(look)
         if changed and self._listener is not None:
             self._listener.graph_changed()

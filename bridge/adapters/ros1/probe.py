@@ -78,6 +78,11 @@ class Prober:
         for link in due:
             self._lanes.submit(link.uri, lambda link=link: self._probe(link))  # type: ignore[misc]
 
+    @property
+    def waiting(self) -> bool:
+        """Whether there are publishers of which nothing is known."""
+        return bool(self._open)
+
     def facts(self) -> Mapping[Link, Facts]:
         """What is known now."""
         with self._lock:

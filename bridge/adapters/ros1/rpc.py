@@ -60,6 +60,7 @@ class RpcClient:
         self._path = parts.path or "/"
         self._timeout = timeout
         self._limit = limit
+        self._asked: tuple[list[Call], str] = ([], "")
         self._last: tuple[bytes, bytes, Any] | None = None
 
     def call(self, method: str, *params: Any) -> Any:
@@ -74,8 +75,10 @@ class RpcClient:
 
         Where request and answer are the same as the last time the very same list is returned, without being parsed.
         """
-        batch = [{"methodName": name, "params": list(params)} for name, params in calls]
-        answers = self._post(xmlrpc.client.dumps((batch,), "system.multicall"))
+        if self._asked[0] != calls:
+            batch = [{"methodName": name, "params": list(params)} for name, params in calls]
+            self._asked = (list(calls), xmlrpc.client.dumps((batch,), "system.multicall"))
+        answers = self._post(self._asked[1])
         if isinstance(answers, _Answers):
             return answers
         if not isinstance(answers, list) or len(answers) != len(calls):

@@ -100,6 +100,11 @@ class Subscription:
         self._closed = False
         self._entry = _acquire(topic)
 
+    @property
+    def restless(self) -> bool:
+        """Whether a publisher is to be connected to."""
+        return any(source.reader is None for source in list(self._sources.values()))
+
     def follow(self, publishers: Mapping[Link, Facts]) -> None:
         """Take up the topic's publishers as they are known now."""
         wanted = {link for link, f in publishers.items() if f.native and self._md5 in (f.md5, "*", "")}

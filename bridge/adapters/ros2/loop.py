@@ -7,7 +7,6 @@ rclpy's executors look at every one for each message.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import select
@@ -114,15 +113,18 @@ class TakeLoop(Loop):
         reader = self._readers.get(descriptor)
         if reader is None:
             return
-        with contextlib.suppress(BlockingIOError):
-            os.eventfd_read(descriptor)
         try:
-            more = reader.drain(taker, TAKES_PER_TURN)
+            count = os.eventfd_read(descriptor)
+        except BlockingIOError:
+            return
+        # As many as were told, and not until there is none: a take in vain costs as much as one that brings a message.
+        limit = min(count, TAKES_PER_TURN)
+        try:
+            reader.drain(taker, limit)
         except Exception:
             _log.exception("taking messages failed")
-            return
-        if more:
-            os.eventfd_write(descriptor, 1)
+        if count > limit:
+            os.eventfd_write(descriptor, count - limit)
 
     def _drop(self, reader: Reader) -> None:
         for descriptor, known in list(self._readers.items()):
