@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
+import struct
 import time
 from typing import Any
 
 from bridge.adapters.base import Edge, EdgePublisher
 from bridge.hub.qos import Qos
 from bridge.messages.errors import MessageError
-from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
 from bridge.routing.route import Route
@@ -20,6 +20,8 @@ TOPIC = "/diagnostics"
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _PERIOD = 1.0
 _OK, _WARN, _ERROR = 0, 1, 2
+_HEADER = struct.Struct("<III")  # sequence number, seconds, nanoseconds
+_COUNT, _LEVEL = struct.Struct("<I"), struct.Struct("<B")
 ROUTES_AT_ONCE = 100
 """Routes told of in one message; more take turns, so that telling of a thousand delays no message that crosses."""
 
@@ -31,13 +33,16 @@ class Diagnostics:
     """
 
     def __init__(self, edge: Edge, registry: Registry, engine: Engine, hardware_id: str) -> None:
-        self._edge, self._registry, self._engine = edge, registry, engine
+        self._edge, self._engine = edge, engine
         self._hardware_id = hardware_id
         self._publisher: EdgePublisher | None = None
         self._due = 0.0
         self._turn = 0
         conversion = edge.from_hub(TYPE, registry.ros2(TYPE).type_id)
         self._convert, self._type = conversion.convert, conversion.target
+        to_hub = registry.ros1_to_hub(registry.hub_to_ros1(TYPE).target.name).convert
+        assert to_hub is not None
+        self._to_hub = to_hub
 
     def publish(self) -> None:
         """Publish when it is time and the side is there."""
@@ -48,7 +53,7 @@ class Diagnostics:
         try:
             if self._publisher is None:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
-            cdr = from_json(self._registry, TYPE, self._array())
+            cdr = self._to_hub(self._array())
             self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")
         except MessageError as err:
             _log.warning("no diagnostics on %s: %s", self._edge.side, err)
@@ -60,17 +65,18 @@ class Diagnostics:
             self._publisher.close()
             self._publisher = None
 
-    def _array(self) -> dict[str, Any]:
-        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+    def _array(self) -> bytes:
+        """The message in ROS 1's form, which has no padding and can be put together from parts.
+
+        The way over `bridge.messages.json` takes five times as long, a third of a percent of a core for 100 routes.
+        """
         routes = [route.status() for route in self._whose_turn()]
         summary = self._engine.summary()
         worker = self._status(
             "worker", _OK, f"{summary.routes} routes, {summary.rate:.0f} msg/s", {"network": summary.network}
         )
-        return {
-            "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}},
-            "status": [worker, *(self._route(route) for route in routes)],
-        }
+        stamp = _HEADER.pack(0, *divmod(time.time_ns(), 1_000_000_000))
+        return b"".join([stamp, _text(""), _COUNT.pack(1 + len(routes)), worker, *map(self._route, routes)])
 
     def _whose_turn(self) -> list[Route]:
         routes = list(self._engine.routes())
@@ -78,7 +84,7 @@ class Diagnostics:
         self._turn = start + ROUTES_AT_ONCE
         return routes[start : self._turn]
 
-    def _route(self, route: dict[str, Any]) -> dict[str, Any]:
+    def _route(self, route: dict[str, Any]) -> bytes:
         drops = {f"dropped ({reason})": n for reason, n in route["drops"].items() if n}
         level = _ERROR if route["drops"]["bad"] else _WARN if route["drops"]["lost"] or route["drops"]["queue"] else _OK
         arrow = "to the hub" if route["direction"] == "in" else "from the hub"
@@ -86,11 +92,12 @@ class Diagnostics:
         values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
         return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
 
-    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> dict[str, Any]:
-        return {
-            "level": level,
-            "name": f"{self._hardware_id}: {name}",
-            "message": message,
-            "hardware_id": self._hardware_id,
-            "values": [{"key": key, "value": str(value)} for key, value in values.items()],
-        }
+    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> bytes:
+        texts = (f"{self._hardware_id}: {name}", message, self._hardware_id)
+        pairs = (_text(key) + _text(str(value)) for key, value in values.items())
+        return b"".join([_LEVEL.pack(level), *map(_text, texts), _COUNT.pack(len(values)), *pairs])
+
+
+def _text(words: str) -> bytes:
+    content = words.encode(errors="replace")
+    return _COUNT.pack(len(content)) + content
