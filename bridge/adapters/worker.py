@@ -53,9 +53,7 @@ class BridgeWorker(Worker):
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
         receive_on_one_thread()
-        removed = pools.clean()
-        if removed:
-            _log.info("removed %d shared-memory files of dead zenoh sessions", removed)
+        config = _with_memory(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():
             told = self.side in EDGES  # on foreign keys nobody expects our diagnostics
@@ -98,3 +96,19 @@ class BridgeWorker(Worker):
     def _failed(self, reason: str) -> None:
         _log.error("%s: %s", self.side, reason)
         self._failure = reason
+
+
+def _with_memory(config: Config) -> Config:
+    """The configuration, without the hub's shared memory where dead sessions' still fills the machine's."""
+    removed = pools.clean()
+    if removed:
+        _log.info("removed %d shared-memory files of dead zenoh sessions", removed)
+    orphans = pools.orphans() if config.hub.shared_memory else 0
+    if not orphans:
+        return config
+    _log.warning(
+        "%d shared-memory pools of zenoh sessions that were killed are held by programs that live: the hub does without"
+        " shared memory in this worker; start those programs anew, and then this one",
+        orphans,
+    )
+    return config.model_copy(update={"hub": config.hub.model_copy(update={"shared_memory": False})})

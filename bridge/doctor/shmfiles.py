@@ -15,11 +15,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from bridge.adapters.ros2.shm import is_held
+from bridge.hub.pools import NAME, is_locked
 
 _SEGMENT = re.compile(r"fastrtps_[0-9a-f]{16}")
 _PORT = re.compile(r"fastrtps_port\d+")
-_ZENOH = re.compile(r"\d+\.zenoh")
 _LOCK = re.compile(r"FLOCK .* ([0-9a-f]+):([0-9a-f]+):(\d+) ")
 _YOUNG_SECONDS = 10.0
 """A file so young may be just made, and not yet locked."""
@@ -49,7 +48,7 @@ class SharedFile:
     @property
     def fast_dds(self) -> bool:
         """Whether Fast DDS made it."""
-        return not _ZENOH.fullmatch(self.path.name)
+        return not NAME.fullmatch(self.path.name)
 
     @property
     def port(self) -> bool:
@@ -69,7 +68,7 @@ def shared_files(folder: Path, proc: Path) -> list[SharedFile]:
     for path in sorted(_entries(folder)):
         with contextlib.suppress(OSError):
             stat = path.stat()
-            lock = path if _ZENOH.fullmatch(path.name) else path.with_name(f"{path.name}_el")
+            lock = path if NAME.fullmatch(path.name) else path.with_name(f"{path.name}_el")
             young = time.time() - stat.st_mtime < _YOUNG_SECONDS
             found.append(SharedFile(path, stat.st_uid, stat.st_blocks * 512, _is_held(lock, locks), young))
     return found
@@ -77,7 +76,7 @@ def shared_files(folder: Path, proc: Path) -> list[SharedFile]:
 
 def _entries(folder: Path) -> Iterator[Path]:
     with contextlib.suppress(OSError):
-        yield from (p for p in folder.iterdir() if any(k.fullmatch(p.name) for k in (_SEGMENT, _PORT, _ZENOH)))
+        yield from (p for p in folder.iterdir() if any(k.fullmatch(p.name) for k in (_SEGMENT, _PORT, NAME)))
 
 
 def _locks(proc: Path) -> set[_Lock]:
@@ -97,6 +96,6 @@ def _is_held(lock: Path, locks: set[_Lock]) -> bool | None:
         return True
     # in a container the list does not have the locks of other containers: try it
     try:
-        return is_held(lock)
+        return is_locked(lock)
     except OSError:
         return None

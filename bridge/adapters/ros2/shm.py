@@ -7,19 +7,16 @@ Fast DDS 2.14 makes ``fastrtps_<hex>`` (a segment) and ``fastrtps_port<n>`` (a p
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import time
 from pathlib import Path
 
-FOLDER = Path("/dev/shm")  # noqa: S108 - where the system keeps POSIX shared memory
+from bridge.hub.pools import FOLDER, YOUNG_SECONDS, is_locked
+
 LARGEST_SEGMENT = 64 * 1024 * 1024
 SMALLEST_SEGMENT = 8 * 1024 * 1024
 """Below it shared memory is not worth having: large messages would go in pieces again."""
-
-_YOUNG_SECONDS = 5.0
-"""A file so young may be just made and not yet locked."""
 
 _LOCK = re.compile(r"^(fastrtps_(?:[0-9a-f]{16}|port\d+))_el$")
 
@@ -39,7 +36,7 @@ def other_users(folder: Path = FOLDER) -> bool:
     mine = os.getuid()
     for lock in _locks(folder):
         with contextlib.suppress(OSError):
-            if lock.stat().st_uid != mine and is_held(lock):
+            if lock.stat().st_uid != mine and is_locked(lock):
                 return True
     return False
 
@@ -54,8 +51,8 @@ def clean(folder: Path = FOLDER) -> int:
     for lock in _locks(folder):
         name = lock.name.removesuffix("_el")
         with contextlib.suppress(OSError):
-            old = time.time() - lock.stat().st_mtime > _YOUNG_SECONDS
-            if old and "port" not in name and not is_held(lock):
+            old = time.time() - lock.stat().st_mtime > YOUNG_SECONDS
+            if old and "port" not in name and not is_locked(lock):
                 (folder / name).unlink(missing_ok=True)
                 lock.unlink(missing_ok=True)
                 removed += 1
@@ -67,16 +64,3 @@ def _locks(folder: Path) -> list[Path]:
         return [p for p in folder.iterdir() if _LOCK.match(p.name)]
     except OSError:
         return []
-
-
-def is_held(lock: Path) -> bool:
-    """Whether a living process holds the lock; raises `OSError` where that cannot be found out."""
-    descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    else:
-        return False
-    finally:
-        os.close(descriptor)
