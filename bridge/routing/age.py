@@ -17,13 +17,14 @@ class Pulse:
         self._last = time.monotonic()
         self._until = 0.0
 
-    def beat(self) -> None:
-        """Mark that the process runs."""
+    def beat(self) -> float:
+        """Mark that the process runs; the seconds since the last beat."""
         now = time.monotonic()
-        if now - self._last > 0.5:
+        since, self._last = now - self._last, now
+        if since > 0.5:
             # What piled up while we stood still is still being read from sockets for a moment.
             self._until = now + 0.5
-        self._last = now
+        return since
 
     def stood_still(self, timeout: float) -> bool:
         """Whether a message that arrives now may have waited longer than ``timeout`` seconds in front of us."""

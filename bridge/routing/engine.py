@@ -36,6 +36,7 @@ _TICK = 1.0
 _LOOK = 10.0  # a look without being woken, should a change ever go untold
 _RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
+_STOOD_STILL = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,8 @@ class Engine:
     def _run(self) -> None:
         tick = look = 0.0
         while not self._stopping.is_set():
-            self._pulse.beat()
+            if self._pulse.beat() > _STOOD_STILL:
+                self.edge.went_on()
             woken = self._wake.wait(_PULSE)
             now = time.monotonic()
             if woken or now >= look:

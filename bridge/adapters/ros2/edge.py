@@ -42,6 +42,9 @@ from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
 
+_NOTHING = "/_midspan/nothing"
+"""A hidden topic on which nothing is ever said."""
+
 
 class Ros2Edge(Edge):
     """One participant on a ROS 2 (DDS) network. A process has one at a time: the mark is the process's."""
@@ -225,6 +228,17 @@ class Ros2Edge(Edge):
                 f"{topic} crosses on ROS 2 as {other} already, it cannot also be {type_name}",
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
+
+    def went_on(self) -> None:
+        """Participants that gave us up meanwhile find our endpoints again, but not to which node they belong.
+
+        rmw_fastrtps forgets a lost participant's nodes, and is not told again what it had received already; each
+        endpoint made or destroyed has it told anew.
+        """
+        if self._participant is not None:
+            string = self._registry.ros2("std_msgs/msg/String")
+            message_class = self._types.message_class(string.name, string.type_id)
+            self._participant.destroy(self._participant.make_reader(message_class, _NOTHING, Qos()))
 
     def warnings(self) -> list[str]:
         """Native subscriptions that do not hear what we publish, and why."""
