@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 import time
 from dataclasses import dataclass
@@ -43,7 +44,8 @@ class Timing:
         start: the same until its first heartbeat: imports and compilation take their time.
         stop: from the word to stop until SIGKILL.
         retry: until one that cannot work here is tried again.
-        look: between looks for what another process must give first.
+        look: between looks for a worker that a service of its own runs.
+        end: between looks whether an earlier daemon's worker has ended.
     """
 
     heartbeat: float = 5.0
@@ -51,6 +53,7 @@ class Timing:
     stop: float = 2.8
     retry: float = 30.0
     look: float = 0.2
+    end: float = 0.05
 
 
 class Phase(Enum):
@@ -93,6 +96,7 @@ class Slot:
         self._beat = 0.0
         self._due = 0.0
         self._blocked_since = 0.0
+        self._waited_for = ""
         self._then_start = False
         self._killed = False
 
@@ -179,7 +183,7 @@ class Slot:
             lock = Lock(state.worker_lock(self._config, self.name))
             try:
                 if lock.try_lock():
-                    self._blocked_since = 0.0
+                    self._blocked_since, self._waited_for = 0.0, ""
                     self._spawn(self._config, lock)
                 else:
                     self._wait_for(lock)
@@ -213,19 +217,20 @@ class Slot:
         holder = lock.holder()
         self._blocked_since = self._blocked_since or now
         what = f"waits for the end of process {holder.pid} of {holder.machine}" if holder else "waits for its lock"
+        pause = self._timing.end
         if holder is not None and holder.owner == "service":
-            what = f"is run by process {holder.pid}, not by this daemon"
+            what, pause = f"is run by process {holder.pid}, not by this daemon", self._timing.look
         elif holder is not None and holder.is_here and now - self._blocked_since > self._timing.stop:
             if _is_worker(holder.pid, self.name):
                 logger.warning("%s: process %d of an earlier daemon does not end; killed", self.name, holder.pid)
                 kill_group(holder.pid, signal.SIGKILL)
             self._blocked_since = now
-        self._wait(what, self._timing.look)
+        self._wait(what, pause)
 
     def _wait(self, text: str, seconds: float) -> None:
-        if text != self.text:
+        if text != self._waited_for:
             logger.info("%s %s", self.name, text)
-        self.phase, self.text = Phase.PAUSED, text
+        self.phase, self.text, self._waited_for = Phase.PAUSED, text, text
         self._due = time.monotonic() + seconds
 
     def _cannot_work(self, why: str) -> None:
@@ -293,6 +298,11 @@ class Slot:
                 self._kill("did not stop in time")
             case Phase.PAUSED | Phase.FAILED if now > self._due:
                 self._launch()
+
+    @property
+    def due(self) -> float:
+        """When `tick` has something to do at the latest, on the monotonic clock; infinite where that is not known."""
+        return self._due if self.phase in {Phase.PAUSED, Phase.FAILED} else math.inf
 
     def forgive(self, seconds: float) -> None:
         """The daemon itself did not look for so long."""
