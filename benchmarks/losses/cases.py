@@ -75,8 +75,8 @@ def simulated_roscore(field: Field) -> Outcome:
     return outcome
 
 
-def program(field: Field, side: str) -> Outcome:
-    """Kill a program of a side and start it again; then kill it for good: it is forgotten."""
+def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
+    """Kill a program of a side and start it again; then kill it for good, until it is forgotten (if that is asked)."""
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)
@@ -86,14 +86,8 @@ def program(field: Field, side: str) -> Outcome:
     field.start_programs(name)
     outcome = watch.until_steady(time.monotonic())
     field.kill(name)
-    begun = time.monotonic()
-    while time.monotonic() < begun + FORGET_SECONDS:
-        after = Outcome()
-        watch.check_state(after)
-        if not after.left and not after.missing:
-            break
-    outcome.missing += after.missing
-    outcome.left += after.left
+    if forget:
+        watch.check_state(outcome, FORGET_SECONDS)
     return outcome
 
 

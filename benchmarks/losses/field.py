@@ -39,12 +39,16 @@ Flow = tuple[str, str]
 class Field:
     """Starts everything; `close` ends it.
 
+    Args:
+        patient: kill a worker again only once its death brings no longer pause than the first one did.
+
     Attributes:
         states: the newest latched line of each program that publishes.
         clock: whether the ROS 1 anchor publishes ``/clock``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, patient: bool = True) -> None:
+        self._patient = patient
         self.states: dict[str, str] = {}
         self.clock = False
         self._children: dict[str, Child] = {}
@@ -177,10 +181,10 @@ class Field:
         return psutil.Process(pid)
 
     def until_old(self, name: str) -> None:
-        """Wait until a worker has lived so long that its death brings no longer pause than the first."""
+        """Wait until a worker has lived so long that its death brings no longer pause than the first, where patient."""
         born = self.worker(name).create_time()
         restarted = any(w["worker"] == name and w["restarts"] for w in self.document()["workers"])
-        if restarted:
+        if restarted and self._patient:
             time.sleep(max(0.0, born + GOOD_LIFE + 1 - time.time()))
 
     def kill_daemon(self) -> None:
@@ -189,8 +193,8 @@ class Field:
         self._children.pop("daemon").finish_stop(5.0)
 
     def _joined(self) -> bool:
-        workers = self.document()["workers"]
-        return len(workers) == len(WORKERS) and all(w["phase"] == "running" for w in workers)
+        running = {w["worker"] for w in self.document()["workers"] if w["phase"] == "running"}
+        return running >= set(WORKERS)
 
     # -- killing -------------------------------------------------------------------------------------------------------
 

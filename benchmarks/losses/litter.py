@@ -48,10 +48,12 @@ def _kill_workers(field: Field) -> None:
     pids = {name: field.worker(name).pid for name in WORKERS}
     for name in WORKERS:
         field.worker(name).kill()
-    field.wait(
-        lambda: all(w["pid"] not in (0, pids[w["worker"]]) for w in field.document()["workers"]),
-        "they are started again",
-    )
+
+    def replaced() -> bool:
+        now = {w["worker"]: w["pid"] for w in field.document()["workers"]}
+        return all(now.get(name) not in (None, 0, pid) for name, pid in pids.items())
+
+    field.wait(replaced, "they are started again")
 
 
 def _kill_all(field: Field) -> None:

@@ -108,9 +108,9 @@ class Watch:
             counts = Counter((sent, number) for _, sent, number in sounds)
             outcome.twice += sum(n - 1 for n in counts.values())
 
-    def check_state(self, outcome: Outcome) -> None:
+    def check_state(self, outcome: Outcome, seconds: float = STATE_SECONDS) -> None:
         """Whether old and new listeners of each side have the newest latched line of each program, and no other's."""
-        end = time.monotonic() + STATE_SECONDS
+        end = time.monotonic() + seconds
         while True:
             missing, left = self._compare()
             if not (missing or left) or time.monotonic() > end:
@@ -124,7 +124,11 @@ class Watch:
         wanted = self._field.states
         for name in ANCHORS:
             lines: Mapping[str, str] = self._field.ask(name, "states", "states")["lines"]
-            missing += [f"{line} at {name}" for n, line in wanted.items() if n != name and lines.get(n) != line]
+            missing += [
+                f"{line} at {name}, which has {lines.get(n, 'none')}"
+                for n, line in wanted.items()
+                if n != name and lines.get(n) != line
+            ]
         for name in (JOINER, "ros2", "hub"):
             expected = {line for n, line in wanted.items() if n != name or name == "ros2"}
             got = self._field.ask(name, "late", "joined", count=len(expected), seconds=2.0)["lines"]

@@ -1,0 +1,1 @@
+"""What is lost, and how it comes back."""

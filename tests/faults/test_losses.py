@@ -1,0 +1,48 @@
+"""Each loss once, in one deployment: everything flows again by itself, complete, and nothing old with it.
+
+`benchmarks/recovery.py` does the same many times, one worker at a time, and prints the times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from benchmarks.losses import cases
+from benchmarks.losses.field import WORKERS, Field
+from benchmarks.losses.outcome import Outcome
+
+
+@pytest.fixture(scope="module")
+def field() -> Iterator[Field]:
+    """roscore, the daemon, and programs of each side that talk to each other."""
+    with Field(patient=False) as made:
+        yield made
+
+
+LOSSES: dict[str, Callable[[Field], Outcome]] = {
+    "roscore with parameters": cases.roscore,
+    "roscore with simulated time": cases.simulated_roscore,
+    "ROS 1 node": lambda field: cases.program(field, "ros1"),
+    "DDS participant": lambda field: cases.program(field, "ros2", forget=False),
+    "router killed": lambda field: cases.worker_killed(field, "router"),
+    "ros1 killed": lambda field: cases.worker_killed(field, "ros1"),
+    "ros2 killed": lambda field: cases.worker_killed(field, "ros2"),
+    "router and ros1 stopped for 2 s": lambda field: cases.worker_stopped(field, "router", "ros1", seconds=2.0),
+    "ros2 stopped for longer than its lease": lambda field: cases.worker_stopped(field, "ros2", seconds=3.0),
+    "all stopped for 10 s": lambda field: cases.worker_stopped(field, *WORKERS, seconds=10.0),
+    "everything killed": cases.daemon_with_workers,
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_everything_comes_back(field: Field, loss: str) -> None:
+    outcome = LOSSES[loss](field)
+    assert outcome.good, f"{outcome}\n{field.words()}"
+
+
+def test_the_successor_of_a_killed_daemon_is_active_within_three_seconds(field: Field) -> None:
+    outcome = cases.daemon(field)
+    assert outcome.good, f"{outcome}\n{field.words()}"
+    assert outcome.seconds < 3.0, f"{outcome}\n{field.words()}"
