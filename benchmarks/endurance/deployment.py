@@ -87,9 +87,12 @@ class Deployment(Stage):
         """What the daemon holds now."""
         assert self._hub is not None
         graph = self._hub.graph
-        used = Meter({name: self.pids[name] for name in DAEMON if name in self.pids}).read()
         tokens = len(graph.endpoints()) + len(graph.nodes()) + len(graph.origins())
-        return Census(used, self.routes("/"), tokens, self._registrations())
+        return Census(self.usage(), self.routes("/"), tokens, self._registrations())
+
+    def usage(self) -> dict[str, Usage]:
+        """Memory, threads and descriptors of the daemon's processes now."""
+        return Meter({name: self.pids[name] for name in DAEMON}).read()
 
     def _registrations(self) -> int:
         with xmlrpc.client.ServerProxy(self.place.master) as master:

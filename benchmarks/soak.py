@@ -1,0 +1,239 @@
+"""A mixed load over all sides for as long as one likes, of which every message is counted.
+
+Topics of many kinds and rates go from each side to both others; every message is numbered, and what is lost, comes
+twice or out of order is told. Every while a late joiner on each side asks each latched topic for its last message. At
+the end, or after Ctrl-C, the slope of each process's memory is printed, what threads and descriptors came or went, and
+whether the latency has drifted. Commands (Twist) are newest-only, so that a lost one is told apart.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.endurance.deployment import SIDES, Census, Deployment
+from benchmarks.endurance.ear import behind
+from benchmarks.endurance.slope import slope
+from benchmarks.rows import Row, add_json_option, report
+
+MIX = (
+    ("string", 20.0),
+    ("scan", 10.0),
+    ("tf", 20.0),
+    ("string", 5.0),
+    ("twist", 20.0),
+    ("string", 50.0),
+    ("scan", 10.0),
+    ("image1", 1.0),
+)
+"""Kind and messages a second of one topic after the other."""
+LATCHED = (("grid", 0.1), ("string", 0.1))
+"""The same of the latched topics, of which each side has these."""
+COMMAND = "twist"
+DRAIN_SECONDS = 3.0
+JOIN_SECONDS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One topic of the load."""
+
+    name: str
+    kind: str
+    rate: float
+    source: str
+    latched: bool = False
+
+
+@dataclass(slots=True)
+class Sums:
+    """What all ears together counted."""
+
+    heard: int = 0
+    lost: int = 0
+    commands_lost: int = 0
+    repeated: int = 0
+    disordered: int = 0
+
+
+@dataclass(slots=True)
+class Course:
+    """How a soak went.
+
+    Attributes:
+        seconds: when each look was, from the start.
+        looks: what the daemon held at each look.
+        p99: of each look, the median over the topics of the latency that one message in a hundred exceeds, in ms.
+        unanswered: late joiners that got nothing in `JOIN_SECONDS`.
+        joins: late joiners in all.
+    """
+
+    seconds: list[float] = field(default_factory=list)
+    looks: list[Census] = field(default_factory=list)
+    p99: list[float] = field(default_factory=list)
+    unanswered: int = 0
+    joins: int = 0
+
+
+def load(count: int) -> list[Topic]:
+    """So many topics, the sides' in turn, and the latched ones."""
+    topics = [
+        Topic(f"/soak/{kind}_{i}", kind, rate, SIDES[i % len(SIDES)])
+        for i, (kind, rate) in ((i, MIX[i // len(SIDES) % len(MIX)]) for i in range(count))
+    ]
+    latched = [Topic(f"/soak/state_{s}_{k}", k, rate, s, latched=True) for s in SIDES for k, rate in LATCHED]
+    return topics + latched
+
+
+class Soak:
+    """The load between two programs of each side: one sends, the other hears what the other sides send."""
+
+    def __init__(self, deployment: Deployment, topics: Sequence[Topic]) -> None:
+        self._deployment, self._topics = deployment, topics
+        self.course = Course()
+        self.sent: dict[str, int] = {}
+        self._sums = Sums()
+        for side in SIDES:
+            deployment.program(side)
+            deployment.program(side, _ear(side))
+            deployment.ask(side, "publish", topics=self._described(side, [t for t in topics if t.source == side]))
+        for side in SIDES:
+            heard = [t for t in topics if t.source != side]
+            deployment.ask(_ear(side), "subscribe", topics=self._described(side, heard))
+        deployment.until(self._crosses, "every topic crosses", 60.0)
+
+    def _described(self, side: str, topics: Sequence[Topic]) -> list[dict[str, Any]]:
+        return [self._deployment.topic(side, t.name, t.kind, latched=t.latched) for t in topics]
+
+    def _crosses(self) -> bool:
+        for side in SIDES:
+            self._deployment.ask(side, "put", topics=[t.name for t in self._topics if t.source == side])
+        time.sleep(0.3)
+        reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
+        return all(ear["count"] for heard in reports for ear in heard.values())
+
+    def run(self, seconds: float, every: float) -> None:
+        """Send and count for so long, with a look every while; Ctrl-C ends it early and in good order."""
+        deployment = self._deployment
+        self._at_first = {side: deployment.ask(_ear(side), "report")["heard"] for side in SIDES}
+        for side in SIDES:
+            deployment.ask(side, "flow", rates={t.name: t.rate for t in self._topics if t.source == side})
+        began = time.monotonic()
+        try:
+            while time.monotonic() - began < seconds:
+                time.sleep(min(every, max(0.1, began + seconds - time.monotonic())))
+                self._look(time.monotonic() - began)
+        except KeyboardInterrupt:
+            print("ended early", file=sys.stderr)
+        for side in SIDES:
+            self.sent |= deployment.ask(side, "still")["sent"]
+        time.sleep(DRAIN_SECONDS)
+        self._sums = self._count()
+
+    def _look(self, seconds: float) -> None:
+        course = self.course
+        self._join()
+        reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
+        ages = [ear["ages"]["p99"] for heard in reports for ear in heard.values() if ear["ages"]]
+        course.seconds.append(seconds)
+        course.looks.append(self._deployment.census())
+        course.p99.append(median(ages) if ages else 0.0)
+        lost, twice = (sum(ear[w] for heard in reports for ear in heard.values()) for w in ("lost", "repeated"))
+        heard = sum(ear["count"] for heard in reports for ear in heard.values())
+        used = ", ".join(f"{n} {u.rss:.0f} MB {u.threads}/{u.descriptors}" for n, u in course.looks[-1].used.items())
+        print(
+            f"{seconds:7.0f} s: {heard} heard, {lost} lost, {twice} twice, p99 {course.p99[-1]:.1f} ms,"
+            f" {course.unanswered} of {course.joins} late joiners unanswered; {used}",
+            file=sys.stderr,
+            flush=True,
+        )
+
+    def _join(self) -> None:
+        """On each side somebody joins the other sides' latched topics late; a sender does it, whose ears are free."""
+        deployment = self._deployment
+        for side in SIDES:
+            topics = [t for t in self._topics if t.latched and t.source != side]
+            deployment.ask(side, "subscribe", topics=self._described(side, topics))
+            end = time.monotonic() + JOIN_SECONDS
+            while True:
+                heard = deployment.ask(side, "report")["heard"]
+                missing = sum(not ear["count"] for ear in heard.values())
+                if not missing or time.monotonic() > end:
+                    break
+                time.sleep(0.05)
+            deployment.ask(side, "drop", publish=[], subscribe=[t.name for t in topics])
+            self.course.joins += len(topics)
+            self.course.unanswered += missing
+
+    def _count(self) -> Sums:
+        sums, kinds = Sums(), {t.name: t.kind for t in self._topics}
+        for side in SIDES:
+            for name, ear in self._deployment.ask(_ear(side), "report")["heard"].items():
+                first = self._at_first[side][name]
+                lost = ear["lost"] - first["lost"] + behind(self.sent[name], ear["last"])
+                sums.heard += ear["count"] - first["count"]
+                sums.repeated += ear["repeated"] - first["repeated"]
+                sums.disordered += ear["disordered"] - first["disordered"]
+                if kinds[name] == COMMAND:
+                    sums.commands_lost += lost
+                else:
+                    sums.lost += lost
+        return sums
+
+    def rows(self) -> list[Row]:
+        """The figures; the peer is a daemon that loses and keeps nothing, for the latency the beginning of the run."""
+        sums, course = self._sums, self.course
+        made = [
+            Row(f"lost, while {sums.heard} were heard", sums.lost, 0.0, "count"),
+            Row("commands dropped", sums.commands_lost, 0.0, "count"),
+            Row("came twice", sums.repeated, 0.0, "count"),
+            Row("out of order", sums.disordered, 0.0, "count"),
+            Row(f"unanswered of {course.joins} late joiners", course.unanswered, 0.0, "count"),
+        ]
+        third = max(1, len(course.p99) // 3)
+        if course.p99:
+            made.append(Row("p99, last third to first", median(course.p99[-third:]), median(course.p99[:third]), "ms"))
+        points: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        for second, look in zip(course.seconds, course.looks, strict=True):
+            for name, usage in look.used.items():
+                points[name].append((second, usage.rss))
+        # what is taken once is taken at the beginning
+        made += [Row(f"memory of {n}", slope(p[len(p) // 3 :]) * 3600, 0.0, "MB/h") for n, p in points.items()]
+        for what in ("threads", "descriptors") if course.looks else ():
+            first, last = course.looks[min(1, len(course.looks) - 1)], course.looks[-1]
+            for name, usage in last.used.items():
+                made.append(Row(f"{what} of {name}", getattr(usage, what), getattr(first.used[name], what), "count"))
+        return made
+
+
+def _ear(side: str) -> str:
+    return f"{side} ear"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=10.0, metavar="N", help="how long (default %(default)s)")
+    parser.add_argument("--topics", type=int, default=48, metavar="M", help="beside the latched (default %(default)s)")
+    parser.add_argument("--every", type=float, default=10.0, metavar="S", help="seconds between two looks (default 10)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    with Deployment() as deployment:
+        soak = Soak(deployment, load(args.topics))
+        soak.run(args.minutes * 60, args.every)
+        found = soak.rows()
+    report(found, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
