@@ -81,6 +81,8 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
                 outlet.close()
             self._outlets = {}
         super().close()
+        # rospy leaves the descriptor to the garbage collector
+        self.connection_poll.poller.close()
 
     def send(self, payload: bytes, source: str, depth: int, *, retain: bool) -> None:
         """Publish to all subscribers without waiting for any."""
