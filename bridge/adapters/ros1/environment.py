@@ -88,7 +88,11 @@ def worker_environment(config: Config, environ: Mapping[str, str]) -> dict[str, 
     folder = packages_folder(config, environ)
     assert folder is not None
     env = dict(environ)
-    links = _links(folder, _cache_folder(environ))
+    try:
+        links = _links(folder, _cache_folder(environ))
+    except OSError as err:
+        msg = f"{_cache_folder(environ)} cannot be written: {err.strerror}; name a folder that can in $XDG_CACHE_HOME"
+        raise RuntimeError(msg) from None
     env["PYTHONPATH"] = os.pathsep.join([str(links), *_ros1_paths(environ, folder)])
     env["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
     _set_or_drop(env, "LD_LIBRARY_PATH", _foreign_libraries(environ))
@@ -163,7 +167,8 @@ def _links(folder: Path, cache: Path) -> Path:
     text = "\n".join(f"{name} {target}" for name, target in sorted(targets.items()))
     links = cache / f"ros1-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
     if links.is_dir():
-        os.utime(links)
+        with contextlib.suppress(OSError):  # on a disk that is read-only by now it is as good
+            os.utime(links)
         return links
     cache.mkdir(parents=True, exist_ok=True)
     made = Path(tempfile.mkdtemp(prefix="ros1-making-", dir=cache))

@@ -9,8 +9,6 @@ master is removed, and nobody else's.
 from __future__ import annotations
 
 import json
-import logging
-import os
 import uuid
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -18,11 +16,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from bridge.adapters.keep import keep
 from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.graph import PRESENCE, Look
 from bridge.adapters.ros1.rpc import Call, ask
-
-_log = logging.getLogger(__name__)
 
 _LIVENESS_SECONDS = 1.0
 
@@ -114,15 +111,7 @@ class Ledger:
             return
         self.last = entry
         document = {"owner": self.owner, "last": entry.as_dict() if entry else None}
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            making = self._path.with_suffix(f".{os.getpid()}")
-            making.write_text(json.dumps(document))
-            making.replace(self._path)
-        except OSError as err:
-            _log.warning(
-                "cannot write %s: %s; what a killed worker leaves on the master will stay there", self._path, err
-            )
+        keep(self._path, json.dumps(document), "what a killed worker leaves on the master will stay there")
 
     def predecessors(self, look: Look, own: Presence) -> list[Presence]:
         """Entries of this daemon's earlier nodes, from the master and from the state folder."""

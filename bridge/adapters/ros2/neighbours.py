@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Collection
 from pathlib import Path
 
+from bridge.adapters.keep import keep
 from bridge.adapters.ros2.mark import is_marked
 from bridge.adapters.ros2.shm import FOLDER
 
@@ -104,8 +105,7 @@ def _shares_memory(process: Path) -> bool:
 
 def note(folder: Path) -> None:
     """Have the next starts use UDP alone, until the machine is booted anew."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / _NOTE).write_text(_boot())
+    keep(folder / _NOTE, _boot(), "the next start tries shared memory again")
 
 
 def noted(folder: Path) -> bool:

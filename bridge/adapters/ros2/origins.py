@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from bridge.adapters.keep import keep
+
 DISCOVERY_SECONDS = 1.5
 """A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
 
@@ -81,8 +83,7 @@ def _remember(own: bytes, file: Path) -> frozenset[bytes]:
     except OSError:
         lines = []
     lines = [*(line for line in lines if line != own.hex()), own.hex()][-_KEPT:]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text("\n".join(lines) + "\n")
+    keep(file, "\n".join(lines) + "\n", "for some seconds after a crash, topics of its own may come back")
     past = set()
     for line in lines:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from bridge.adapters.keep import keep
 from bridge.adapters.ros2 import neighbours, rcl, shm
 from bridge.adapters.ros2.environment import SWITCHES, UNSET
 from bridge.adapters.ros2.mark import new_prefix
@@ -23,15 +24,22 @@ def use_profile(config: Config, state: Path) -> Profile:
         return _used[0]
     profile = Profile(new_prefix(rcl.host_prefix()), _segment(config, state), config.ros2.localhost_only)
     own = config.ros2.profile
-    folder = state / "ros2"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "fastdds.xml"
-    path.write_text(profile.xml() if own is None else stamped(own, profile.prefix))
+    text = profile.xml() if own is None else stamped(own, profile.prefix)
+    path = state / "ros2" / "fastdds.xml"
+    if not keep(path, text, "the Fast DDS profile is taken from memory"):
+        path = _in_memory(text)
     os.environ.update(SWITCHES | dict.fromkeys(_PROFILE_VARIABLES, str(path)))
     for name in UNSET:
         os.environ.pop(name, None)
     _used.append(profile)
     return profile
+
+
+def _in_memory(text: str) -> Path:
+    """A file without a disk, for as long as this process lives."""
+    file = os.memfd_create("midspan-fastdds")
+    os.write(file, text.encode())
+    return Path(f"/proc/self/fd/{file}")
 
 
 _used: list[Profile] = []

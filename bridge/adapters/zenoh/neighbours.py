@@ -16,6 +16,7 @@ from urllib.parse import quote
 import zenoh
 
 from bridge.adapters.base import Sighting
+from bridge.adapters.keep import keep
 from bridge.adapters.zenoh.mark import is_marked
 
 SPACE = "@midspan/keys"
@@ -172,8 +173,7 @@ def remember(own: str, file: Path) -> frozenset[str]:
         past = file.read_text().split()[-_KEPT:]
     except OSError:
         past = []
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text("\n".join([*past, own]) + "\n")
+    keep(file, "\n".join([*past, own]) + "\n", "for some seconds after a crash, topics of its own may come back")
     return frozenset(past)
 
 

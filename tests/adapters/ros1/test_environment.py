@@ -141,3 +141,9 @@ def test_real_rospy_beside_our_libraries(tmp_path):
     md5, numpy = done.stdout.split()
     assert md5 == "992ce8a1687cec8c8bd883ec73ca41d1"
     assert numpy.startswith(sys.prefix)
+
+
+def test_a_cache_that_cannot_be_written_is_named_with_the_cure(tmp_path, packages):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RuntimeError, match=r"file/midspan cannot be written: Not a directory; name .*XDG_CACHE_HOME"):
+        worker_environment(Config(ros1=Ros1Section(packages=packages)), {"XDG_CACHE_HOME": str(tmp_path / "file")})
