@@ -10,8 +10,10 @@ from typing import Any
 
 import psutil
 
+from bridge.adapters import room
 from bridge.adapters.base import Edge
 from bridge.config.model import Config, RoutingSection
+from bridge.config.state import state_folder
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
@@ -84,10 +86,7 @@ class Crossing:
         summary = engine.summary()
         if self._diagnostics is not None:
             self._diagnostics.publish()
-        if summary.network is None:
-            return Health("waiting", f"{self.name} is away")
-        refused = f", {summary.refused} refused" if summary.refused else ""
-        return Health("running", f"{summary.routes} routes, {summary.rate:.0f} msg/s{refused}")
+        return Health(summary.state, summary.text or f"{self.name} is away")
 
     def stop(self) -> None:
         """Give back every endpoint and close the session."""
@@ -108,18 +107,26 @@ class Crossing:
         engine, hub = self._engine, self._hub
         if engine is None or hub is None:
             raise HubError(_STOPPING)
+        document = engine.status()
         return {
             "daemon": self._config.name,
             "worker": self.name,
             "side": self._side,
             "pid": os.getpid(),
             "zid": hub.zid,
-            "state": "waiting" if engine.summary().network is None else "running",
+            "state": engine.summary().state,
             "uptime": round(time.monotonic() - self._started, 1),
-            "cpu": round(self._process.cpu_percent() / 100, 4),
-            "rss": self._process.memory_info().rss,
-            **engine.status(),
+            **self._costs(),
+            **document,
+            "warnings": [*document["warnings"], *room.warnings(state_folder(self._config))],
         }
+
+    def _costs(self) -> dict[str, Any]:
+        """Processor and memory; nothing where no descriptor is left to read them with."""
+        try:
+            return {"cpu": round(self._process.cpu_percent() / 100, 4), "rss": self._process.memory_info().rss}
+        except OSError:
+            return {}
 
     def _explain(self, params: dict[str, Any]) -> list[dict[str, Any]]:
         return self._running().explain(str(params.get("topic", "")))

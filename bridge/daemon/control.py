@@ -35,6 +35,9 @@ class ControlServer:
         path: the socket's; nobody else may use it, so the worker's lock must be held.
         owner: who started this worker.
         obey: takes each command, on a thread of this server.
+
+    Raises:
+        RuntimeError: the socket cannot be made.
     """
 
     def __init__(self, path: Path, owner: Owner, obey: Callable[[Command], None]) -> None:
@@ -44,10 +47,15 @@ class ControlServer:
         self._lock = threading.Lock()
         self._client: socket.socket | None = None
         self._closed = False
-        path.unlink(missing_ok=True)  # a dead predecessor's
         self._server = socket.socket(socket.AF_UNIX)
-        self._server.bind(str(path))
-        path.chmod(0o600)
+        try:
+            path.unlink(missing_ok=True)  # a dead predecessor's
+            self._server.bind(str(path))
+            path.chmod(0o600)
+        except OSError as err:
+            self._server.close()
+            msg = f"cannot make {path}: {err.strerror}; make the state folder writable, or set 'state' to one that is"
+            raise RuntimeError(msg) from None
         self._server.listen(4)
         self._thread = threading.Thread(target=self._accept, name="control", daemon=True)
         self._thread.start()

@@ -6,14 +6,18 @@ handed to a child by inheritance.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
+import logging
 import os
 import socket
 from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.daemon.protocol import Owner
+
+logger = logging.getLogger("midspan.daemon")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,13 @@ class Lock:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as err:
+            if err.errno not in {errno.EROFS, errno.ENOSPC, errno.EACCES, errno.EDQUOT}:
+                raise
+            # The file is there from better times, and a lock needs no writing.
+            self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
 
     def try_lock(self) -> bool:
         """Try to take the lock, for this process or the one that it starts; False where another one holds it."""
@@ -46,10 +56,16 @@ class Lock:
         return True
 
     def write(self, pid: int, owner: Owner) -> None:
-        """Say who holds the lock: this process, or the child that was given its descriptor."""
+        """Say who holds the lock: this process, or the child that was given its descriptor.
+
+        The lock holds without it: where nothing can be written, others are not told who has it.
+        """
         text = json.dumps({"pid": pid, "machine": socket.gethostname(), "owner": owner})
-        os.ftruncate(self._file, 0)
-        os.pwrite(self._file, text.encode(), 0)
+        try:
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, text.encode(), 0)
+        except OSError as err:
+            logger.warning("cannot write into %s who holds it: %s", self.path, err.strerror)
 
     def holder(self) -> Holder | None:
         """Who holds it; None where nothing is written yet."""

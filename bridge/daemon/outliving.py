@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
 from bridge.config.model import Config
 from bridge.daemon import log, state
@@ -18,6 +21,8 @@ from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop
 from bridge.daemon.protocol import Hello, Lines, Log, NewConfig, Owner, ProtocolError, decode_report, encode_command
 from bridge.daemon.workers import WorkerKind, child_command
+
+logger = logging.getLogger("midspan.daemon")
 
 _LAST_WORDS = 4096
 
@@ -49,7 +54,7 @@ class OutlivingLink(Link):
 
     def spawn(self, kind: WorkerKind, config: Config, env: Mapping[str, str], lock: Lock) -> None:
         """Start one; `poll` connects to it as soon as its socket is there."""
-        with self._output.open("wb") as output, tempfile.TemporaryFile() as first:
+        with self._open_output() as output, _unnamed_file() as first:
             first.write(encode_command(NewConfig(config)))
             first.seek(0)
             self._process = subprocess.Popen(
@@ -63,6 +68,14 @@ class OutlivingLink(Link):
             )
         self._pid = self._process.pid
         lock.write(self._pid, "daemon")
+
+    def _open_output(self) -> IO[bytes]:
+        """Where its stderr goes: to nobody where the state folder takes no file."""
+        try:
+            return self._output.open("wb")
+        except OSError as err:
+            logger.warning("cannot write %s: %s; the worker's last words will not be told", self._output, err.strerror)
+            return Path(os.devnull).open("wb")
 
     @property
     def pid(self) -> int:
@@ -130,6 +143,11 @@ class OutlivingLink(Link):
     def detach(self) -> None:
         """Close the connection; the worker goes on."""
         self._disconnect()
+
+
+def _unnamed_file() -> IO[bytes]:
+    """A file for a child to read; in memory where the system has such, whatever the disks are like."""
+    return os.fdopen(os.memfd_create("midspan"), "w+b") if sys.platform == "linux" else tempfile.TemporaryFile()
 
 
 def _connect(path: Path) -> socket.socket | None:

@@ -50,7 +50,11 @@ class Process:
             return self._run(config, pipe.report) or 0
         relay = log.RelayHandler()
         log.setup(config, self._kind.name, log.Style.SUPERVISED, relay)
-        server = self._open_control(config, "daemon", self._commands.put)
+        try:
+            server = self._open_control(config, "daemon", self._commands.put)
+        except RuntimeError as err:
+            logger.error("cannot work here: %s", err)  # noqa: TRY400  the daemon reads it as last words
+            return EXIT_CANNOT_WORK
         relay.relay_to(server.relay)
         try:
             return self._run(config, server.report) or 0

@@ -6,7 +6,10 @@ A running worker answers on the hub; one that cannot start has nobody to answer 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
+import logging
+import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +19,8 @@ from bridge.config.model import Config
 from bridge.config.state import state_folder
 from bridge.daemon import state
 from bridge.daemon.loop import Loop
+
+logger = logging.getLogger("midspan.daemon")
 
 _MAX_ANSWER = 1 << 20
 
@@ -27,26 +32,44 @@ class QueryServer:
         self._loop = loop
         self._path = path
         self._document = document
-        path.unlink(missing_ok=True)  # a dead predecessor's: the daemon's lock is ours
+        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
         self._server = socket.socket(socket.AF_UNIX)
-        self._server.bind(str(path))
-        path.chmod(0o600)
+        try:
+            path.unlink(missing_ok=True)  # a dead predecessor's: the daemon's lock is ours
+            self._server.bind(str(path))
+            path.chmod(0o600)
+        except OSError as err:
+            logger.warning("cannot make %s: %s; nobody can ask this daemon about its workers", path, err.strerror)
+            return
         self._server.listen(8)
         self._server.setblocking(False)
         loop.on_readable(self._server.fileno(), self._answer)
 
     def _answer(self) -> None:
-        with contextlib.suppress(OSError):
+        try:
             client, _ = self._server.accept()
-            with client:
-                client.setblocking(False)  # an answer is far smaller than a socket's buffer
-                client.sendall(json.dumps(self._document()).encode())
+        except OSError as err:
+            if err.errno == errno.EMFILE:
+                self._turn_away()
+            return
+        with contextlib.suppress(OSError), client:
+            client.setblocking(False)  # an answer is far smaller than a socket's buffer
+            client.sendall(json.dumps(self._document()).encode())
+
+    def _turn_away(self) -> None:
+        """Without a descriptor for it, a waiting connection would wake the loop without end: the spare one takes it."""
+        os.close(self._spare)
+        with contextlib.suppress(OSError):
+            self._server.accept()[0].close()
+        self._spare = os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
         self._loop.forget(self._server.fileno())
         self._server.close()
-        self._path.unlink(missing_ok=True)
+        os.close(self._spare)
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)
 
 
 def ask_daemon(config: Config, seconds: float = 1.0) -> dict[str, Any] | None:

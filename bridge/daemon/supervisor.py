@@ -12,6 +12,8 @@ from typing import Any
 from bridge.config.load import load
 from bridge.config.model import Config
 from bridge.config.problems import ConfigError
+from bridge.config.state import state_folder
+from bridge.config.state import trouble as folder_trouble
 from bridge.daemon import log, state
 from bridge.daemon.limits import raise_open_files
 from bridge.daemon.lock import Lock
@@ -63,7 +65,7 @@ class Supervisor:
         self._reload_wanted = False
         self._announced = False
         self._ready_at = 0.0
-        self._refused = ""
+        self._refused = self._trouble = ""
         self._status_sent = 0.0
         self._begun = self._stepped = time.monotonic()
 
@@ -133,7 +135,8 @@ class Supervisor:
 
     def _step(self) -> None:
         interval = self._notify.watchdog_interval
-        self._loop.step(min(STEP, interval / 2) if interval else STEP)
+        due = min(slot.due for slot in self.slots) - time.monotonic()
+        self._loop.step(max(0.0, min(STEP, due, interval / 2 if interval else STEP)))
         now = time.monotonic()
         stood_still = now - self._stepped
         self._stepped = now
@@ -153,7 +156,14 @@ class Supervisor:
     def _tell_status(self, now: float) -> None:
         if now - self._status_sent >= STATUS_INTERVAL:
             self._status_sent = now
+            self._look_at_folder()
             self._notify.status(self.status())
+
+    def _look_at_folder(self) -> None:
+        trouble = folder_trouble(state_folder(self._config))
+        if trouble != self._trouble:
+            self._trouble = trouble
+            logger.warning("%s", trouble or "the state folder can be written again")
 
     def status(self) -> str:
         """One line that says it all."""
@@ -167,6 +177,8 @@ class Supervisor:
             if slot.restarts:
                 text += f" (restarted {slot.restarts}x)"
             parts.append(text)
+        if self._trouble:
+            parts.append(self._trouble)
         if self._refused:
             parts.append(f"reload refused, the running configuration is kept: {self._refused}")
         return " | ".join(parts) or "no worker is switched on"
@@ -211,7 +223,9 @@ class Supervisor:
         self._begin(config)
 
     def _checked_again(self) -> Config:
-        config = state.with_state(load(self._file), self._environ)
+        config = load(self._file)
+        # The folder that is in use may be full or read-only by now: that is told, and is no reason to refuse a file.
+        config = config.model_copy(update={"state": state_folder(config, self._environ).absolute()})
         for key in ("name", "state"):
             old, new = getattr(self._config, key), getattr(config, key)
             if old != new:

@@ -6,6 +6,7 @@ read is checked against the message's end before it is made. Addresses are plain
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -196,6 +197,7 @@ def _run_free(program: int, source: int, size: int, target: int) -> int:
     return size_or_fault
 
 
+_log = logging.getLogger(__name__)
 _njit: Any = numba.njit
 _SIGNATURE = numba.int64(numba.int64, numba.int64, numba.int64, numba.int64)
 _COMPILED_FILES = ("machine.py", "memory.py", "ops.py", "steps.py")
@@ -209,6 +211,9 @@ def _compile(function: Run, *, nogil: bool) -> Any:
     try:
         config.CACHE_DIR = "" if folder is None else str(folder)
         return _njit(_SIGNATURE, cache=folder is not None, nogil=nogil)(function)
+    except OSError as err:
+        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
+        return _njit(_SIGNATURE, nogil=nogil)(function)
     finally:
         config.CACHE_DIR = before
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bridge.adapters.base import Edge
+from bridge.adapters.room import OUT, RAISE
 from bridge.hub.session import Hub
 from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageTypeError
@@ -60,8 +61,20 @@ def attempt(route: Route, update: Callable[[], None], verdict: Verdict) -> None:
         update()
     except MessageTypeError as err:
         verdict.refuse(str(err), err.cure)
+    except OSError as err:
+        text, cure = _told(err)
+        verdict.refuse(text, cure)
+        if verdict.reason != route.refused:
+            _log.warning("%s %s is refused: %s; %s", verdict.direction, verdict.topic, text, cure)
     except Exception as err:
         verdict.refuse(f"{type(err).__name__}: {err}", "")
         if verdict.reason != route.refused:
             _log.exception("%s %s", verdict.direction, verdict.topic)
     route.refused = verdict.reason
+
+
+def _told(err: OSError) -> tuple[str, str]:
+    """What the system said, and what helps."""
+    if err.errno in OUT:
+        return "this process has no file descriptor left", RAISE
+    return f"the system says: {err.strerror or err}", "it is tried again every few seconds"

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from bridge.config import state
 from bridge.doctor import clock
 from bridge.doctor.checks import clock as clock_check
 from bridge.doctor.checks import machine, sharedmemory
 from bridge.doctor.clock import Offset
-from bridge.doctor.finding import Result
+from bridge.doctor.finding import Finding, Result
 from bridge.doctor.shmfiles import shared_files
 from tests.doctor.parts import around, hub, only, results
 from tests.support.process import Process
@@ -75,6 +76,19 @@ def test_a_worker_that_runs_out_of_descriptors() -> None:
             found = machine.look_at_descriptors(around(hub=hub(document)))
             assert result in results(found), found
             assert (Result.FAIL in results(found)) is (result is Result.FAIL)
+
+
+def test_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def look(folder: Path) -> Finding:
+        return only(machine.look_at_state(around({"state": folder})))
+
+    assert look(tmp_path / "later").result is Result.SKIP
+    assert look(tmp_path).result is Result.OK
+    monkeypatch.setattr(state, "LEAST_ROOM", 1 << 60)
+    full = look(tmp_path)
+    assert full.result is Result.FAIL
+    assert full.seen.startswith(f"the state folder {tmp_path} has ")
+    assert full.cure == "make room on that disk"
 
 
 def shm_file(folder: Path, name: str, size: int = 4096, age: float = 60.0) -> Path:

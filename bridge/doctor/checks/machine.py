@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import psutil
 
+from bridge.adapters.room import FULL, RAISE
+from bridge.config import state
 from bridge.doctor.around import Around
 from bridge.doctor.finding import Finding, fail, ok, skip, warn
 
 WANTED = 4096
 """rospy takes about two descriptors for a subscribed topic; a thousand topics and room for the rest."""
-_FULL = 0.8
-_CURE = "raise it: LimitNOFILE= in the systemd unit, or 'ulimit -n 65536' before midspan run"
 
 
 def look_at_descriptors(around: Around) -> Sequence[Finding]:
@@ -25,7 +25,7 @@ def look_at_descriptors(around: Around) -> Sequence[Finding]:
     _soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     findings: list[Finding] = []
     if hard != resource.RLIM_INFINITY and hard < WANTED:
-        findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", _CURE))
+        findings.append(warn(f"at most {hard} files may be open at once; 1,000 topics want {WANTED}", RAISE))
     for document in around.hub.documents:
         process = around.process(document)
         if process is not None:
@@ -38,6 +38,15 @@ def _worker(name: str, process: psutil.Process) -> list[Finding]:
         used, (soft, _hard) = process.num_fds(), process.rlimit(psutil.RLIMIT_NOFILE)
     except (psutil.Error, AttributeError):  # another user's, or no Linux
         return []
-    if soft > 0 and used > _FULL * soft:
-        return [fail(f"{name} has {used} files open of {soft} allowed", _CURE)]
+    if soft > 0 and used > FULL * soft:
+        return [fail(f"{name} has {used} files open of {soft} allowed", RAISE)]
     return []
+
+
+def look_at_state(around: Around) -> Sequence[Finding]:
+    """Whether the daemon can keep what it must know again."""
+    folder = state.state_folder(around.config, around.environ)
+    if not folder.exists():
+        return [skip(f"{folder} is not there yet; the daemon makes it")]
+    seen, _, cure = state.trouble(folder).rpartition("; ")
+    return [fail(seen, cure)] if seen else [ok(str(folder))]

@@ -1,0 +1,40 @@
+"""What this process has left of what the machine gives: file descriptors, and room in the state folder."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from pathlib import Path
+
+from bridge.config import state
+
+FULL = 0.8
+"""Share of the descriptors in use from which it is told."""
+
+RAISE = "raise the limit of open files: LimitNOFILE= in the systemd unit, or 'ulimit -n 65536' before midspan run"
+"""The cure."""
+
+OUT = frozenset({errno.EMFILE, errno.ENFILE})
+"""What the system says when no descriptor is left, for this process or for the machine."""
+
+
+def warnings(folder: Path) -> list[str]:
+    """What is short, each with its cure."""
+    return [text for text in (_descriptors(), state.trouble(folder)) if text]
+
+
+def _descriptors() -> str:
+    if sys.platform == "win32":
+        return ""
+    import resource
+
+    soft, _hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        used = sum(1 for _ in Path("/dev/fd").iterdir())
+    except OSError as err:
+        if err.errno not in OUT:
+            return ""
+        used = soft
+    if soft == resource.RLIM_INFINITY or used < FULL * soft:
+        return ""
+    return f"{used} of {soft} file descriptors are in use; without one, new topics and programs are refused; {RAISE}"
