@@ -24,6 +24,11 @@ _held: list[int] = []
 
 @functools.cache
 def ros2_domain() -> int:
+    """This test process's ROS domain."""
+    return new_domain()
+
+
+def new_domain() -> int:
     """A ROS domain that no other test process uses, held until this process ends."""
     for domain in _DOMAINS:
         path = Path(tempfile.gettempdir()) / f"midspan-test-ros2-domain-{domain}.lock"

@@ -135,9 +135,7 @@ def drafts(file: Path) -> tuple[list[Draft], list[Problem]]:
 def _remarks(job: _Import) -> None:
     """What concerns the whole file."""
     if job.top.mode != "normal":
-        text = (
-            "Midspan leaves messages as they are (zenoh can compress: hub.zenoh, transport/unicast/compression)"
-        )
+        text = "Midspan leaves messages as they are (zenoh can compress: hub.zenoh, transport/unicast/compression)"
         job.notes.append(job.note(("mode",), text))
     for key in ("services", "actions"):
         if getattr(job.top, key):

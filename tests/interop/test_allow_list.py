@@ -1,0 +1,31 @@
+"""The shipped allow list at work; the demo runs demo.yaml, and default.yaml changes no default."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+from tests.interop.deployment import Deployment
+from tests.interop.test_life import TWIST, twist
+from tests.interop.test_topics import cross
+from tests.support.wait import until
+
+FILE = Path(__file__).parents[2] / "configs" / "allow_list.yaml"
+STRING, ODOMETRY = "std_msgs/String", "nav_msgs/Odometry"
+
+
+def test_what_is_not_named_does_not_cross(deployment: Deployment) -> None:
+    deployment.start(**yaml.safe_load(FILE.read_text()))
+    ros1, ros2 = deployment.ros1(), deployment.ros2()
+    for sender in (ros1, ros2):
+        sender.advertise("/unnamed", STRING)
+    heard = ros2.subscribe("/odom", ODOMETRY)
+    out = ros1.advertise("/odom", ODOMETRY)
+    assert cross(ros1, out, ros2, heard, {"child_frame_id": "base"})["child_frame_id"] == "base"
+    heard = ros1.subscribe("/cmd_vel", TWIST)
+    out = ros2.advertise("/robot1/cmd_vel", TWIST)
+    assert cross(ros2, out, ros1, heard, twist(0.1)) == twist(0.1)
+    until(lambda: len(deployment.explain("/unnamed")) == 2, "both sides have decided on it", 20)
+    assert {line["decision"] for line in deployment.explain("/unnamed")} == {"denied"}
+    assert not deployment.route("ros2", "/unnamed", "out")

@@ -1,0 +1,157 @@
+"""Imported configurations at work: real programs, and the examples of the bridges' own documentation."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.interop.deployment import MIDSPAN, Deployment
+from tests.interop.test_topics import cross
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros2 import ROS2_PEER, new_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+TF = "tf2_msgs/TFMessage"
+
+# the example of ros1_bridge's README, and its advice for /tf_static
+PARAMETERS = """\
+topics:
+  -
+    topic: /chatter  # Topic name on both ROS 1 and ROS 2
+    type: std_msgs/msg/String  # Type of topic to bridge
+    queue_size: 1  # Queue size
+  -
+    topic: /tf_static
+    type: tf2_msgs/msg/TFMessage
+    queue_size: 1
+    qos:
+      history: keep_all
+      durability: transient_local
+services_2_to_1:
+  -
+    service: /add_two_ints  # ROS 1 service name
+    type: roscpp_tutorials/TwoInts  # The ROS 1 service type name
+"""
+
+DOMAINS = """\
+name: my_bridge
+from_domain: {first}
+to_domain: {second}
+topics:
+  chatter:
+    type: std_msgs/msg/String
+    remap: chitter
+  both:
+    type: std_msgs/msg/String
+    bidirectional: True
+  latched:
+    type: std_msgs/msg/String
+    reversed: True
+"""
+
+
+def imported(peer: str, file: Path, folder: Path) -> list[Path]:
+    """Import a file by the command; what it wrote."""
+    output = folder / "imported.yaml" if peer == "ros1_bridge" else folder
+    done = subprocess.run(
+        [*MIDSPAN, "import", peer, str(file), "-o", str(output)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert done.returncode in {0, 3}, done.stderr
+    return [Path(line) for line in done.stdout.splitlines()]
+
+
+def placed(file: Path, **sections: dict) -> None:
+    """Give an imported file the test's own ports, master and folders."""
+    config = yaml.safe_load(file.read_text())
+    for name, keys in sections.items():
+        config[name] = {**config.get(name, {}), **keys} if isinstance(keys, dict) else keys
+    file.write_text(yaml.safe_dump(config))
+
+
+def test_the_example_of_ros1_bridge(deployment: Deployment, tmp_path: Path) -> None:
+    source = tmp_path / "bridge.yaml"
+    source.write_text(PARAMETERS)
+    (made,) = imported("ros1_bridge", source, tmp_path)
+    deployment.start(routing=yaml.safe_load(made.read_text())["routing"])
+    ros1, ros2 = deployment.ros1(), deployment.ros2()
+    for sender, hearer in ((ros1, ros2), (ros2, ros1)):
+        heard = hearer.subscribe("/chatter", STRING)
+        out = sender.advertise("/chatter", STRING)
+        assert cross(sender, out, hearer, heard, {"data": "hello"}) == {"data": "hello"}
+    frames = {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": "laser"}]}
+    ros1.publish(ros1.advertise("/tf_static", TF, latched=True), frames)
+    late = ros2.subscribe("/tf_static", TF, latched=True)
+    assert ros2.wait(late, 1)[0]["transforms"][0]["child_frame_id"] == "laser"
+    # what the file does not name stays
+    ros1.advertise("/other", STRING)
+    until(lambda: "no rule allows it" in str(deployment.explain("/other")), "the other is decided on", 20)
+    assert deployment.route("ros1", "/other", "in") is None
+
+
+class TwoDomains:
+    """The daemons of an imported domain bridge, and programs in both domains."""
+
+    def __init__(self, folder: Path) -> None:
+        self.domains = (new_domain(), new_domain())
+        self.open: list[Process] = []
+        source = folder / "domains.yaml"
+        source.write_text(DOMAINS.format(first=self.domains[0], second=self.domains[1]))
+        listen = f"tcp/127.0.0.1:{free_port()}"
+        self.daemons = []
+        for file in imported("domain_bridge", source, folder / "made"):
+            placed(file, hub={"listen": listen}, state=str(folder / "state"))  # type: ignore[arg-type]
+            self.daemons.append(Process([*MIDSPAN, "run", "--config", file], dict(os.environ)))
+        self.open += self.daemons
+        for daemon in self.daemons:
+            until(lambda d=daemon: "ready: " in d.output(), "the daemon is ready", 40)
+
+    def program(self, index: int) -> Peer:
+        """A real rclpy program in one of the domains."""
+        env = ros2_environment(ROS_DOMAIN_ID=str(self.domains[index]))
+        peer = Peer(ROS2_PEER, ros2_python(), env, f"program_{index}")
+        self.open.append(peer)
+        return peer
+
+
+@pytest.fixture
+def two_domains(tmp_path: Path) -> Iterator[TwoDomains]:
+    """An imported domain bridge at work."""
+    made = TwoDomains(tmp_path)
+    yield made
+    for process in reversed(made.open):
+        process.stop()
+
+
+def test_a_domain_bridge(two_domains: TwoDomains) -> None:
+    first, second = two_domains.program(0), two_domains.program(1)
+    heard = second.subscribe("/chitter", STRING)
+    unnamed = second.subscribe("/unnamed", STRING)
+    kept = second.subscribe("/chatter", STRING)
+    stays = first.advertise("/unnamed", STRING)
+    out = first.advertise("/chatter", STRING)
+    assert cross(first, out, second, heard, {"data": "renamed"}) == {"data": "renamed"}
+    for sender, hearer in ((first, second), (second, first)):
+        heard = hearer.subscribe("/both", STRING)
+        out = sender.advertise("/both", STRING)
+        assert cross(sender, out, hearer, heard, {"data": "both ways"}) == {"data": "both ways"}
+    second.publish(second.advertise("/latched", STRING, latched=True), {"data": "kept"})
+    heard = first.subscribe("/latched", STRING, latched=True)
+    assert first.wait(heard, 1) == [{"data": "kept"}]
+    first.publish(stays, {"data": "stays"})
+    assert second.wait(unnamed, 1, 0.3) == []
+    assert second.wait(kept, 1, 0.1) == []
+    # one copy of each, whatever the daemons hear of each other
+    topics = second.graph()["topics"]
+    assert [name for name in topics if "domain" in name] == []
