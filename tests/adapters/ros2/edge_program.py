@@ -34,6 +34,9 @@ class Program:
     def graph_changed(self) -> None:
         """The commands look for themselves."""
 
+    def presence_changed(self) -> None:
+        """Not asked for."""
+
     def message_refused(self, topic: str, reason: str, why: str) -> None:
         """Not asked for."""
 
