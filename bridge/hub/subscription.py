@@ -25,6 +25,11 @@ _MAX_GAP = 1_000_000
 _MAX_HELD = 1000
 """Samples of one publisher that are held back at most, beyond its history."""
 
+_MAX_HELD_BYTES = 256 << 20
+"""Bytes that one subscription holds back at most, with `_OVERHEAD` for each sample."""
+
+_OVERHEAD = 256
+
 
 Refused = Callable[[str, str], None]
 """``refused(reason, why)``: a sample was left out; ``reason`` is ``bad`` or ``large``, ``why`` is for people."""
@@ -118,6 +123,7 @@ class HubSubscription:
         self._sources: dict[bytes, _Source] = {}
         self._room = 2 * _SPARED
         self._asked: Counter[str] = Counter()
+        self._held = 0
         # never taken by `close`, whose caller may hold a lock that the callback waits for
         self._lock = Lock()
         self._closing = Lock()
@@ -176,9 +182,7 @@ class HubSubscription:
             # a live sample may come before its publisher's token, by which it would have been asked
             past = gap > 0 if source.sequence is not None else message.sequence > 1
             missing = deep and past and bool(zid) and (self._recovers or source.sequence is None)
-            if missing or (deep and self._asked[zid]):
-                source.held[message.sequence] = message
-            else:
+            if not ((missing or (deep and self._asked[zid])) and self._hold(source, message)):
                 self._release(source)
                 self._deliver(source, message)
             missing = missing and not self._asked[zid]
@@ -198,8 +202,10 @@ class HubSubscription:
         self._history.saw(sample.source_info)
         with self._lock:
             source = self._source(message, sample)
-            if source.zid != self._own and source.gap(message) is not None:
-                source.held[message.sequence] = message
+            if source.zid == self._own or source.gap(message) is None:
+                return
+            if not self._hold(source, message):
+                self._refuse("large", f"more than {_MAX_HELD_BYTES} bytes are kept for late joiners")
 
     def done(self, zid: str) -> None:
         """All that was asked of a session has come; see `History`."""
@@ -212,8 +218,22 @@ class HubSubscription:
                 if source.held and not self._asked[source.zid]:
                     self._release(source)
 
-    def _release(self, source: _Source) -> None:
+    def _hold(self, source: _Source, message: HubSample) -> bool:
+        """Hold a sample back; False where too much is held already."""
+        size = len(message.payload) + _OVERHEAD
+        if self._held + size > _MAX_HELD_BYTES or message.sequence in source.held:
+            return message.sequence in source.held
+        source.held[message.sequence] = message
+        self._held += size
+        return True
+
+    def _take_held(self, source: _Source) -> dict[int, HubSample]:
         held, source.held = source.held, {}
+        self._held -= sum(len(message.payload) + _OVERHEAD for message in held.values())
+        return held
+
+    def _release(self, source: _Source) -> None:
+        held = self._take_held(source)
         for sequence in sorted(held):
             self._deliver(source, held[sequence])
 
@@ -265,7 +285,7 @@ class HubSubscription:
         for gid in gone[:-_SPARED]:
             del self._sources[gid]
         while len(self._sources) >= _MAX_SOURCES:
-            del self._sources[next(iter(self._sources))]
+            self._take_held(self._sources.pop(next(iter(self._sources))))
         self._room = min(2 * (len(self._sources) + _SPARED), _MAX_SOURCES)
 
     def _refuse(self, reason: str, why: str) -> None:

@@ -86,7 +86,8 @@ class Diagnostics:
 
     def _route(self, route: dict[str, Any]) -> bytes:
         drops = {f"dropped ({reason})": n for reason, n in route["drops"].items() if n}
-        level = _ERROR if route["drops"]["bad"] else _WARN if route["drops"]["lost"] or route["drops"]["queue"] else _OK
+        counts = route["drops"]
+        level = _ERROR if counts["bad"] or counts["large"] else _WARN if counts["lost"] or counts["queue"] else _OK
         arrow = "to the hub" if route["direction"] == "in" else "from the hub"
         values = {"type": route["type"], "priority": route["priority"], "messages": route["messages"]}
         values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
