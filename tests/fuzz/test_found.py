@@ -29,6 +29,7 @@ FOUND = [
     ("ros2_prefixes", b"\x9f"),
     ("lock", b'{"pid":1e999,"machine":"","owner":""}'),
     ("lock", b"[" * 3000),
+    ("ros1_ledger", b'{"last": {"owner": "", "daemon": "", "node": "/a", "uri": "\\ud800", "pid": 1}}'),
     ("package", b"a_msgs\nmsg/A.msg\nint8 " + b"A" * 60 + b"a=1"),
     ("from_json", b'1{"data":"\xc6\x85"}'),
     ("topic_pub", b"? {a: b}"),

@@ -62,7 +62,9 @@ class Presence:
     def parse(cls, entry: Any) -> Presence | None:
         """An entry read from a master or the state folder, None where it is none."""
         match entry:
-            case {"owner": str(owner), "daemon": str(daemon), "node": str(node), "uri": str(uri), "pid": int(pid)}:
+            case {
+                "owner": str(owner), "daemon": str(daemon), "node": str(node), "uri": str(uri), "pid": int(pid),
+            } if (owner + daemon + node + uri).isprintable():  # fmt: skip
                 port = entry.get("port")
                 return cls(owner, daemon, node, uri, pid, port if isinstance(port, int) else 0)
         return None
