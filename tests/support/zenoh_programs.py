@@ -21,6 +21,7 @@ from zenoh import ext
 
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
+from tests.support.wait import until
 
 
 def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Session:
@@ -68,6 +69,7 @@ class Program:
         self._things: dict[int, tuple[str, str, list[Any]]] = {}
         self._puts: dict[int, Callable[[bytes], None]] = {}
         self.heard: dict[int, list[Any]] = {}
+        self.watch: zenoh.Subscriber | None = None
         self._changed = threading.Condition()
 
     def encode(self, type_: str, message: dict[str, Any]) -> bytes:
@@ -100,6 +102,11 @@ class Program:
         for number in [n for n in self.heard if self._things.get(n, ("",))[0] == topic]:
             self.hear(number, type_, data)
 
+    def until_heard_of(self, endpoint: int) -> None:
+        """Wait until somebody subscribes to what a publisher says."""
+        publisher = self._things[endpoint][2][-1]
+        until(lambda: publisher.matching_status.matching, "somebody subscribes", 20)
+
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[Any]:
         with self._changed:
             self._changed.wait_for(lambda: len(self.heard[endpoint]) >= count, seconds)
@@ -112,6 +119,11 @@ class Program:
     def stop(self, seconds: float = 6.0) -> int:
         session, self.session = self.session, None
         if session is not None:
+            # zenoh waits for callbacks at the end, and they for Python
+            for number in list(self._things):
+                self.drop(number)
+            if self.watch is not None:
+                self.watch.undeclare()
             session.close()
         return int(seconds * 0)
 
@@ -124,7 +136,7 @@ class Ros2ddsBridge(Program):
         self._messages, self._namespace = messages, namespace
         self._alive = self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv")
         self._tokens: set[str] = set()
-        self._watch = self.session.liveliness().declare_subscriber(
+        self.watch = self.session.liveliness().declare_subscriber(
             "@/*/@ros2_lv/**", zenoh.handlers.Callback(self._on_token, indirect=False), history=True
         )
 
@@ -178,6 +190,10 @@ class Ros2ddsBridge(Program):
         text = self.token("MS", topic, type_, latched=latched, depth=depth, best_effort=best_effort)
         self._things[number][2].extend([self.session.liveliness().declare_token(text), subscriber])
         return number
+
+    def all_tokens(self) -> set[str]:
+        """All tokens of the dialect that are there."""
+        return set(self._tokens)
 
     def tokens(self, topic: str, letters: str = "MP") -> list[str]:
         """The tokens of others about a topic."""
@@ -233,6 +249,7 @@ class Beacon:
     def undeclare(self) -> None:
         self._stopping.set()
         self._thread.join()
+        self._subscriber.undeclare()
 
 
 class Ros1Bridge(Program):
@@ -242,7 +259,7 @@ class Ros1Bridge(Program):
         super().__init__(endpoint)
         self._messages, self._namespace, self._period = messages, namespace, period
         self._beacons: dict[str, float] = {}
-        self._watch = self.session.declare_subscriber(
+        self.watch = self.session.declare_subscriber(
             f"ros1_discovery_info/*/*/*/*/{namespace}/*/**", zenoh.handlers.Callback(self._on_beacon, indirect=False)
         )
 
@@ -309,12 +326,6 @@ class Ros1Bridge(Program):
             graph[kind].setdefault(f"/{parts[6]}", ["a bridge"])
         return graph
 
-    def stop(self, seconds: float = 6.0) -> int:
-        for _, _, parts in self._things.values():
-            for beacon in (part for part in parts if isinstance(part, Beacon)):
-                beacon.undeclare()
-        return super().stop(seconds)
-
 
 class JsonProgram(Program):
     """A program without ROS that speaks JSON; topics are keys."""
@@ -326,10 +337,8 @@ class JsonProgram(Program):
         return json.loads(data)
 
     def advertise(self, topic: str, type_: str = "", **_: Any) -> int:
-        def put(data: bytes) -> None:
-            self.session.put(topic.strip("/"), data, encoding=zenoh.Encoding.APPLICATION_JSON)
-
-        return self.add(topic, type_, [], put)
+        publisher = self.session.declare_publisher(topic.strip("/"), encoding=zenoh.Encoding.APPLICATION_JSON)
+        return self.add(topic, type_, [publisher], publisher.put)
 
     def subscribe(self, topic: str, type_: str = "", **_: Any) -> int:
         number, hear = self.listener(topic, type_)

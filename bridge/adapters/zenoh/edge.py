@@ -33,6 +33,9 @@ _log = logging.getLogger(__name__)
 TICK = 0.25
 """Seconds between an edge's looks at the time."""
 
+LINK_SECONDS = 0.5
+"""Seconds after which a new link has told all tokens: asked at once, it answers with none."""
+
 
 class Part(Protocol):
     """A publisher or subscription of ours."""
@@ -57,7 +60,7 @@ class KeyEdge(Edge):
         self._listener: EdgeListener | None = None
         self._session: zenoh.Session | None = None
         self._neighbours: Neighbours | None = None
-        self._linked = False
+        self._linked_since: float | None = None
         self._stopping = threading.Event()
         self._ticker = threading.Thread(target=self._tick_on, name=f"midspan-{self.side}-tick", daemon=True)
 
@@ -121,8 +124,8 @@ class KeyEdge(Edge):
 
     def _look_at_links(self, session: zenoh.Session) -> None:
         linked = bool(session.info.routers_zid() or session.info.peers_zid())
-        if linked != self._linked:
-            self._linked = linked
+        if linked != (self._linked_since is not None):
+            self._linked_since = time.monotonic() if linked else None
             self.changed()
 
     # -- the network ---------------------------------------------------------------------------------------------------
@@ -138,7 +141,7 @@ class KeyEdge(Edge):
     def network(self) -> str | None:
         """Our session's id, by which the others on this network know it; None while the session has no link."""
         session = self._session
-        return str(session.zid()) if session is not None and self._linked else None
+        return str(session.zid()) if session is not None and self._linked_since is not None else None
 
     def is_own_network(self, origin: Origin) -> bool:
         """Whether the origin's session is ours or one that is seen here."""
@@ -158,7 +161,10 @@ class KeyEdge(Edge):
 
     def settled(self, since: float) -> bool:
         """See `Edge.settled`: the network's routers and peers are asked for all tokens."""
-        return self._linked and self._neighbours is not None and self._neighbours.settled(since)
+        linked, neighbours = self._linked_since, self._neighbours
+        if linked is None or neighbours is None or time.monotonic() - linked < LINK_SECONDS:
+            return False
+        return neighbours.settled(since)
 
     def changed(self) -> None:
         """The graph changed; may be called from any thread."""

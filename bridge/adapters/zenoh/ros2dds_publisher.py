@@ -41,7 +41,8 @@ class _LatchedSink:
         )
 
     def put(self, payload: bytes) -> None:
-        self._publisher.put(payload)
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            self._publisher.put(payload)
 
     def close(self) -> None:
         with contextlib.suppress(zenoh.ZError):

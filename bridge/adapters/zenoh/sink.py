@@ -45,7 +45,8 @@ class PlainSink:
         """Publish; one thread at a time."""
         self._number += 1
         info = zenoh.SourceInfo(self._id, self._number & _NUMBERS)
-        self.publisher.put(payload, source_info=info, encoding=self._encoding)
+        with contextlib.suppress(zenoh.ZError):  # the session is being closed
+            self.publisher.put(payload, source_info=info, encoding=self._encoding)
 
     def close(self) -> None:
         """Give the publisher back."""

@@ -1,0 +1,1 @@
+"""The zenoh adapter, against programs written from the plugins' sources."""

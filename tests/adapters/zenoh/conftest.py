@@ -1,0 +1,121 @@
+"""A hub, a zenoh network beside it, and programs on it that are written from the plugins' sources."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.zenoh import ros1_aloha
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.contract.zenohside import PERIOD, ZenohBridge
+from tests.support.hub import HubNetwork
+from tests.support.rosbags_messages import Messages
+from tests.support.wait import until
+from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router
+
+ROS1, ROS2 = Messages(ros1=True), Messages(ros1=False)
+
+
+class Place:
+    """One test's networks and what was started on them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.hubs = HubNetwork()
+        self.router = Router()
+        self._open: list[Any] = []
+        self._far: HubSide | None = None
+
+    def config(self, *dialects: dict[str, Any], name: str = "here", **sections: Any) -> Config:
+        """A configuration with these dialects on the network beside the hub's."""
+        zenoh = {"router": self.router.endpoint, "dialects": list(dialects)}
+        hub = {"listen": self.hubs.endpoint}
+        return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "zenoh": zenoh, **sections})
+
+    def bridge(self, *dialects: dict[str, Any], **sections: Any) -> ZenohBridge:
+        """The adapter with these dialects."""
+        bridge = ZenohBridge(self.config(*dialects, **sections))
+        self._open.append(bridge)
+        return bridge
+
+    @property
+    def far(self) -> HubSide:
+        """A native program of the hub."""
+        if self._far is None:
+            self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        return self._far
+
+    def ros2dds(self, namespace: str = "") -> Ros2ddsBridge:
+        """A zenoh-bridge-ros2dds."""
+        return self._keep(Ros2ddsBridge(self.router.endpoint, ROS2, namespace))
+
+    def ros1(self, namespace: str = "*", period: float = PERIOD) -> Ros1Bridge:
+        """A zenoh-bridge-ros1."""
+        return self._keep(Ros1Bridge(self.router.endpoint, ROS1, namespace, period))
+
+    def json(self) -> JsonProgram:
+        """A program without ROS."""
+        return self._keep(JsonProgram(self.router.endpoint))
+
+    def _keep(self, program: Any) -> Any:
+        self._open.append(program)
+        return program
+
+    def status(self, side: str) -> dict[str, Any]:
+        """What one dialect's worker tells of itself."""
+
+        def told() -> dict[str, Any] | None:
+            answers = self.far.hub.ask("status", {}, worker=side)
+            return next((a.value for a in answers if isinstance(a.value, dict)), None)
+
+        return until(told, f"{side} tells its status")  # type: ignore[return-value]
+
+    def route(self, side: str, topic: str, direction: str) -> dict[str, Any] | None:
+        """One route of one dialect."""
+        routes = self.status(side)["routes"]
+        return next((r for r in routes if r["topic"] == topic and r["direction"] == direction), None)
+
+    def until_route(self, side: str, topic: str, direction: str) -> dict[str, Any]:
+        """Wait for a route."""
+        found = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", 20, every=0.1)
+        assert found is not None
+        return found
+
+    def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
+        """What one dialect decided of a topic."""
+        answers = self.far.hub.ask("explain", {"topic": topic}, worker=side)
+        return [line for a in answers if isinstance(a.value, list) for line in a.value]
+
+    def close(self) -> None:
+        for thing in reversed(self._open):
+            thing.stop()
+        if self._far is not None:
+            self._far.hub.close()
+        self.router.stop()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
+    monkeypatch.setattr(ros1_aloha, "PERIOD", PERIOD)
+    made = Place(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any]) -> Any:
+    """Publish until it is heard; what was heard first."""
+
+    def once() -> list[Any]:
+        sender.publish(out, message)
+        return hearer.wait(heard, 1, 0.2)
+
+    return until(once, "a message crosses", 20)[0]

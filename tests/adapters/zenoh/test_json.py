@@ -1,0 +1,148 @@
+"""JSON on plain keys, for programs that have no ROS."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import pytest
+import zenoh
+
+from bridge.adapters.zenoh.json_text import cdr_to_text, text_to_cdr
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from tests.adapters.zenoh.conftest import Place, cross
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+SIDE = "zenoh_json"
+REGISTRY = Registry()
+
+
+def keys(*entries: dict[str, Any]) -> dict[str, Any]:
+    return {"dialect": "json", "keys": [{"type": "std_msgs/msg/String", **entry} for entry in entries]}
+
+
+def test_what_json_cannot_say_itself() -> None:
+    scan, image = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/CompressedImage"
+    text = b'{"header": {"stamp": {"sec": 7, "nanosec": 8}}, "ranges": [1.5, "NaN", "Infinity", "-Infinity"]}'
+    back = json.loads(cdr_to_text(REGISTRY, scan)(text_to_cdr(REGISTRY, scan)(text)))
+    assert back["ranges"] == [1.5, "NaN", "Infinity", "-Infinity"]
+    assert back["header"] == {"stamp": {"sec": 7, "nanosec": 8}, "frame_id": ""}
+    octets = base64.b64encode(b"\x00\xff").decode()
+    for given in (f'"{octets}"', "[0, 255]"):
+        cdr = text_to_cdr(REGISTRY, image)(f'{{"data": {given}}}'.encode())
+        assert json.loads(cdr_to_text(REGISTRY, image)(cdr))["data"] == octets
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b'{"data": "hi"', "no JSON"),
+        (b"\xff\xfe\x00", "no JSON"),
+        (b"[" * 100_000, "no JSON"),
+        (b"[1]", "is a JSON object"),
+        (b"null", "is a JSON object"),
+        (b'{"dat": "hi"}', "did you mean 'data'"),
+        (b'{"data": 3}', "data is text"),
+        (b'{"data": "\\ud800"}', "cannot be encoded"),
+    ],
+)
+def test_bad_json_is_refused_with_its_reason(text: bytes, reason: str) -> None:
+    with pytest.raises(ConversionError, match=reason):
+        text_to_cdr(REGISTRY, "std_msgs/msg/String")(text)
+
+
+def test_in_out_and_both(place: Place) -> None:
+    program = place.json()
+    place.bridge(
+        keys(
+            {"key": "robot/says", "direction": "in"},
+            {"key": "robot/hears", "direction": "out", "topic": "/to_robot"},
+            {"key": "talk", "direction": "both"},
+        )
+    )
+    said, talked = (place.far.subscribe(t, STRING) for t in ("/robot/says", "/talk"))
+    assert cross(program, program.advertise("robot/says"), place.far, said, {"data": "in"}) == {"data": "in"}
+    hears, talks = program.subscribe("robot/hears"), program.subscribe("talk")
+    told, talk = (place.far.advertise(t, STRING) for t in ("/to_robot", "/talk"))
+    assert cross(place.far, told, program, hears, {"data": "out"}) == {"data": "out"}
+    assert cross(place.far, talk, program, talks, {"data": "there"}) == {"data": "there"}
+    assert cross(program, program.advertise("talk"), place.far, talked, {"data": "back"}) == {"data": "back"}
+    # what was said on either side did not come back to it
+    assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
+    wrong = place.far.advertise("/robot/says", STRING)
+    place.far.publish(wrong, {"data": "not for this key"})
+    own = [line for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
+    assert [line["decision"] for line in own] == ["own"]
+    assert place.status(SIDE)["refused"] == []
+
+
+def test_samples_and_a_get_by_a_late_reader(place: Place) -> None:
+    place.bridge(keys({"key": "mode", "direction": "out"}))
+    program = place.json()
+    samples: list[zenoh.Sample] = []
+    program.session.declare_subscriber("mode", zenoh.handlers.Callback(samples.append, indirect=False))
+    out = place.far.advertise("/mode", STRING, latched=True, depth=1)
+    place.far.publish(out, {"data": "first"})
+    until(lambda: samples, "the sample")
+    assert samples[0].payload.to_bytes() == b'{"data":"first"}'
+    assert (str(samples[0].encoding), samples[0].attachment) == ("application/json", None)
+    assert program.get("mode") == [({"data": "first"}, "application/json")]
+    place.far.publish(out, {"data": "second"})
+    until(lambda: program.get("mode") == [({"data": "second"}, "application/json")], "the newest is kept")
+    place.far.drop(out)
+    until(lambda: program.get("mode") == [], "nothing is kept of a publisher that is gone")
+
+
+def test_a_latched_key_is_asked_for_what_was_put_before(place: Place) -> None:
+    """Whoever keeps a key's value (a program, a zenoh storage) answers a get; late joiners on the hub have it then."""
+    program = place.json()
+    kept = program.session.declare_queryable("mode", lambda query: query.reply("mode", b'{"data": "kept"}'))
+    place.bridge(keys({"key": "mode", "direction": "in", "latched": True}))
+    heard = place.far.subscribe("/mode", STRING, latched=True)
+    assert place.far.wait(heard, 1, 15) == [{"data": "kept"}]
+    kept.undeclare()
+
+
+def test_bad_json_is_counted_and_the_key_goes_on(place: Place) -> None:
+    program = place.json()
+    place.bridge(keys({"key": "talk", "direction": "in"}))
+    heard = place.far.subscribe("/talk", STRING)
+    out = program.advertise("talk")
+    cross(program, out, place.far, heard, {"data": "probe"})
+    for bad in (b"", b"{", b'{"datum": 1}', b"\x00\x01\x00\x00"):
+        program.session.put("talk", bad)
+    until(lambda: place.route(SIDE, "/talk", "in")["drops"]["bad"] == 4, "four are counted", every=0.1)
+    assert place.route(SIDE, "/talk", "in")["error"]
+    program.publish(out, {"data": "good"})
+    until(lambda: {"data": "good"} in place.far.wait(heard, 1, 0.1), "the good one")
+
+
+def test_a_velocity_command_is_never_kept(place: Place) -> None:
+    """Not for a get, not for late joiners, whatever the configuration says."""
+    program = place.json()
+    twist = "geometry_msgs/msg/Twist"
+    place.bridge(keys({"key": "cmd_vel", "type": twist, "latched": True}))
+    heard = place.far.subscribe("/cmd_vel", "geometry_msgs/Twist")
+    cross(program, program.advertise("cmd_vel"), place.far, heard, {"linear": {"x": 0.5}})
+    assert not any(p.qos.latched for p in place.far.publishers("/cmd_vel"))
+    out = place.far.advertise("/cmd_vel", "geometry_msgs/Twist", latched=True, depth=1)
+    back = program.subscribe("cmd_vel")
+    assert cross(place.far, out, program, back, {"linear": {"x": 0.25}})["linear"]["x"] == 0.25
+    assert program.get("cmd_vel") == []
+
+
+def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
+    """The ros2dds dialect on the same network leaves a JSON key alone, both ways, and says so."""
+    bridge, program = place.ros2dds(), place.json()
+    place.bridge({"dialect": "ros2dds"}, keys({"key": "talk"}))
+    heard = program.subscribe("talk")
+    out = place.far.advertise("/talk", STRING)
+    assert cross(place.far, out, program, heard, {"data": "json"}) == {"data": "json"}
+    assert bridge.tokens("/talk") == []
+    line = next(x for x in place.explain("zenoh_ros2dds", "/talk") if x["direction"] == "out")
+    assert "JSON" in line["why"]
+    bridge.advertise("/talk", STRING)
+    until(lambda: [w for w in place.status("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)

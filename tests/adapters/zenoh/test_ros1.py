@@ -1,0 +1,173 @@
+"""The ros1 dialect, key for key and byte for byte."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+import zenoh
+
+from bridge.adapters.base import Kind
+from bridge.adapters.zenoh.ros1_keys import Topic, data_key, discovery_key, parse
+from bridge.hub.errors import WireError
+from tests.adapters.zenoh.conftest import Place, cross
+from tests.contract.zenohside import PERIOD
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+KEY = "7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/chatter"
+HI = bytes.fromhex("02000000 6869")
+SIDE = "zenoh_ros1"
+
+
+def test_keys_are_written_as_the_plugin_writes_them() -> None:
+    topic = Topic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1")
+    assert data_key(topic, "*") == KEY
+    assert discovery_key(Kind.PUBLISHER, topic, "*") == f"ros1_discovery_info/*/pub/{KEY}"
+    assert discovery_key(Kind.SUBSCRIPTION, topic, "bot") == f"ros1_discovery_info/*/sub/{KEY.replace('*', 'bot')}"
+    assert parse(f"ros1_discovery_info/*/pub/{KEY}") == (Kind.PUBLISHER, topic)
+    assert parse(f"ros1_discovery_info/*/srv/{KEY}") is None
+    assert parse(f"ros1_discovery_info/*/sub/{KEY}/deep/er") == (
+        Kind.SUBSCRIPTION, Topic("/chatter/deep/er", STRING, topic.md5)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "ros1_discovery_info/*/pub/7374/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
+        "ros1_discovery_info/*/pub/no hex/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
+        "ros1_discovery_info/*/pub/7374645f6d7367732f537472696e67/992ce8/*/t",
+        "ros1_discovery_info/*/xyz/7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
+        "ros1_discovery_info/*/pub/7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*",
+        "ros1_discovery_info/*/pub/7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/**",
+        "other/*/pub/7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
+        f"ros1_discovery_info/*/pub/{'41' * 3000}/992ce8a1687cec8c8bd883ec73ca41d1/*/t",
+    ],
+)
+def test_keys_that_are_none(key: str) -> None:
+    with pytest.raises(WireError):
+        parse(key)
+
+
+def test_out_what_a_bridge_sees(place: Place) -> None:
+    """Our beacons, and the sample byte for byte."""
+    bridge = place.ros1()
+    place.bridge({"dialect": "ros1"})
+    out = place.far.advertise("/chatter", STRING)
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "our beacon")
+    samples: list[zenoh.Sample] = []
+    bridge.session.declare_subscriber(KEY, zenoh.handlers.Callback(samples.append, indirect=False))
+
+    def heard() -> bool:
+        place.far.publish(out, {"data": "hi"})
+        return bool(samples)
+
+    until(heard, "the sample")
+    assert (str(samples[0].key_expr), samples[0].payload.to_bytes(), samples[0].attachment) == (KEY, HI, None)
+    place.far.drop(out)
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" not in bridge.beacons(), "our beacon ends with the topic")
+
+
+def test_in_what_a_bridge_says_and_that_it_is_gone_when_silent(place: Place) -> None:
+    bridge = place.ros1()
+    place.bridge({"dialect": "ros1"})
+    out = bridge.advertise("/chatter", STRING)
+    heard = place.far.subscribe("/chatter", STRING)
+    assert cross(bridge, out, place.far, heard, {"data": "hi"}) == {"data": "hi"}
+    until(lambda: f"ros1_discovery_info/*/sub/{KEY}" in bridge.beacons(), "we ask for it")
+    bridge.drop(out)
+    place.far.until_unpublished("/chatter")
+
+
+def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
+    """Both publish one topic, so that both beacon on one key; the native one is there all the time."""
+    place.bridge({"dialect": "ros1"})
+    place.far.advertise("/chatter", STRING)
+    place.until_route(SIDE, "/chatter", "out")
+    bridge = place.ros1()
+    bridge.advertise("/chatter", STRING)
+    place.far.until_published("/chatter")
+    gid = place.far.publishers("/chatter")[0].gid
+    end = time.monotonic() + 10 * PERIOD
+    while time.monotonic() < end:
+        assert [p.gid for p in place.far.publishers("/chatter")] == [gid]
+        time.sleep(PERIOD / 4)
+
+
+def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
+    bridge = place.ros1()
+    place.bridge({"dialect": "ros1"})
+    bridge.advertise("/odd", STRING, md5="0123456789abcdef0123456789abcdef")
+    line = until(lambda: place.explain(SIDE, "/odd"), "an explanation", every=0.1)[0]
+    assert line["decision"] == "refused"
+    assert "0123456789abcdef0123456789abcdef" in line["why"]
+    assert line["cure"]
+    bridge.advertise("/strange", "nowhere_msgs/Nothing", md5="0123456789abcdef0123456789abcdef")
+    line = until(lambda: place.explain(SIDE, "/strange"), "an explanation", every=0.1)[0]
+    assert "nowhere_msgs" in line["why"]
+
+
+def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_bridge(place: Place) -> None:
+    place.bridge({"dialect": "ros1"})
+    out = place.far.advertise("/state", STRING, latched=True, depth=1)
+    place.far.publish(out, {"data": "kept"})
+    until(lambda: (place.route(SIDE, "/state", "out") or {}).get("messages"), "it crossed", every=0.1)
+    first = place.ros1()
+    heard = first.subscribe("/state", STRING)
+    assert first.wait(heard, 1) == [{"data": "kept"}]
+    second = place.ros1()
+    heard_too = second.subscribe("/state", STRING)
+    assert second.wait(heard_too, 1, 20)[0] == {"data": "kept"}
+
+
+def test_what_is_latched_answers_a_get(place: Place) -> None:
+    place.bridge({"dialect": "ros1"})
+    outs = [place.far.advertise("/state", STRING, latched=True, depth=1) for _ in range(2)]
+    for number, out in enumerate(outs):
+        place.far.publish(out, {"data": f"of {number}"})
+    bridge = place.ros1()
+    key = bridge.key("/state", STRING)
+
+    def got() -> list[str]:
+        replies = bridge.session.get(key, consolidation=zenoh.ConsolidationMode.NONE)
+        return sorted(bridge.decode(STRING, r.ok.payload.to_bytes())["data"] for r in replies if r.ok)
+
+    until(lambda: got() == ["of 0", "of 1"], "both are answered", every=0.1)
+    place.far.drop(outs[0])
+    until(lambda: got() == ["of 1"], "one is gone with its publisher", every=0.1)
+
+
+def test_topics_that_are_configured_as_latched_are_kept(place: Place) -> None:
+    bridge = place.ros1()
+    place.bridge({"dialect": "ros1", "latched": ["/maps/*"]})
+    out = bridge.advertise("/maps/one", STRING)
+    heard = place.far.subscribe("/maps/one", STRING)
+    cross(bridge, out, place.far, heard, {"data": "map"})
+    late = place.far.subscribe("/maps/one", STRING, latched=True)
+    assert place.far.wait(late, 1) == [{"data": "map"}]
+
+
+def test_free_fleet(place: Place) -> None:
+    """Its client knows the robot's namespace, tells nothing, and reads the same keys (free_fleet, ``utils.py``)."""
+    goal = {"topic": "/move_base_simple/goal", "type": "geometry_msgs/msg/PoseStamped"}
+    place.bridge({"dialect": "ros1", "namespace": "nav1_tb3", "keys": [goal]})
+    fleet = place.ros1("nav1_tb3")
+    pose = "geometry_msgs/PoseStamped"
+    publisher = fleet.session.declare_publisher(fleet.key("/move_base_simple/goal", pose))
+    heard = place.far.subscribe("/move_base_simple/goal", pose)
+    place.far.until_published("/move_base_simple/goal")
+
+    def said() -> list:
+        publisher.put(fleet.encode(pose, {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}}))
+        return place.far.wait(heard, 1, 0.2)
+
+    assert until(said, "the goal")[0]["pose"]["position"]["x"] == 1.5
+    transforms = "tf2_msgs/TFMessage"
+    out = place.far.advertise("/tf", transforms)
+    read, hear = fleet.listener("/tf", transforms)
+    fleet.session.declare_subscriber(
+        "7466325f6d7367732f54464d657373616765/94810edda583a504dfda3829e70d7eec/nav1_tb3/tf", hear
+    )
+    got = cross(place.far, out, fleet, read, {"transforms": [{"child_frame_id": "base_footprint"}]})
+    assert got["transforms"][0]["child_frame_id"] == "base_footprint"

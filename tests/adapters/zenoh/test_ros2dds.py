@@ -1,0 +1,268 @@
+"""The ros2dds dialect, token for token and byte for byte."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import zenoh
+from zenoh import ext
+
+from bridge.adapters.base import Kind
+from bridge.adapters.zenoh.mark import is_marked, new_zid
+from bridge.adapters.zenoh.ros2dds_tokens import Token, parse, token_key
+from bridge.hub.errors import WireError
+from bridge.hub.qos import Durability, History, Qos, Reliability
+from tests.adapters.zenoh.conftest import ROS2, Place, cross
+from tests.support.wait import until
+from tests.support.zenoh_programs import open_session
+
+STRING = "std_msgs/String"
+HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+HI = bytes.fromhex("00010000 03000000 686900")
+SIDE = "zenoh_ros2dds"
+
+
+def test_tokens_are_written_as_the_plugin_writes_them() -> None:
+    latched = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+    token = Token("ab12", Kind.PUBLISHER, "bot1/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_0123", latched)
+    text = "@/ab12/@ros2_lv/MP/bot1§map/nav_msgs§msg§OccupancyGrid/:1:1:0,1:typehash=RIHS01_0123;"
+    assert token_key(token) == text
+    assert parse(text) == token
+    best_effort = Token("1", Kind.SUBSCRIPTION, "scan", "a/msg/B", "", Qos(Reliability.BEST_EFFORT, depth=5))
+    assert token_key(best_effort) == "@/1/@ros2_lv/MS/scan/a§msg§B/:0:0:0,5"
+
+
+@pytest.mark.parametrize(
+    ("qos", "kind", "read"),
+    [
+        (":::", Kind.PUBLISHER, Qos(Reliability.RELIABLE, depth=1)),
+        (":::", Kind.SUBSCRIPTION, Qos(Reliability.BEST_EFFORT, depth=1)),
+        ("K:1:1:0,7", Kind.PUBLISHER, Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=7)),
+        (":1:0:1,-1:typehash=x;", Kind.PUBLISHER, Qos(Reliability.RELIABLE, history=History.KEEP_ALL, depth=1)),
+        (":1:3:0,2", Kind.PUBLISHER, Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=2)),
+    ],
+)
+def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
+    letters = "MP" if kind is Kind.PUBLISHER else "MS"
+    token = parse(f"@/1/@ros2_lv/{letters}/a/std_msgs§msg§String/{qos}")
+    assert token is not None
+    assert (token.qos, token.type_hash) == (read, "")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String",
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String/:1:0",
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String/:one:0:0,1",
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String/:1:0:0",
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String/:1:0:0,99999999999999",
+        "@/1/@ros2_lv/MP/0§chatter§std_msgs::msg::dds_::String_§RIHS01_ab/std_msgs§msg§String/:::",
+        "@/1/@ros2_lv/MP/§a/std_msgs§msg§String/:::",
+        "@/1/@ros2_lv/MP/a/String/:::",
+        "@/1/@ros2_lv/XX/a/std_msgs§msg§String/:::",
+        "@/1/@other",
+        "@ros2_lv/0/1/0/0/NN/%/%/node",
+        "@/1/@ros2_lv/MP/a/std_msgs§msg§String/" + "1" * 5000,
+    ],
+)
+def test_tokens_that_are_none(text: str) -> None:
+    with pytest.raises(WireError):
+        parse(text)
+
+
+def test_tokens_of_other_things_are_passed_over() -> None:
+    assert parse("@/1/@ros2_lv") is None
+    assert parse("@/1/@ros2_lv/SS/add/example_interfaces§srv§AddTwoInts") is None
+    assert parse("@/1/@ros2_lv/AS/go/nav2_msgs§action§NavigateToPose") is None
+
+
+def test_a_marked_id_is_taken_by_zenoh_and_random() -> None:
+    ids = {new_zid() for _ in range(100)}
+    assert len(ids) == 100
+    assert all(is_marked(zid) and zid[0] != "0" and len(zid) == 32 for zid in ids)
+    assert not is_marked("6d7370616e7a")
+
+
+def test_out_what_a_bridge_sees(place: Place) -> None:
+    """Its token and the sample, byte for byte."""
+    bridge = place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    out = place.far.advertise("/chatter", STRING, depth=7)
+    token = until(lambda: bridge.tokens("/chatter"), "our token")[0]
+    zid = token.split("/")[1]
+    assert token == f"@/{zid}/@ros2_lv/MP/chatter/std_msgs§msg§String/:1:0:0,1000:typehash={HASH};"
+    assert f"@/{zid}/@ros2_lv" in bridge.all_tokens()
+    samples: list[zenoh.Sample] = []
+    bridge.session.declare_subscriber("chatter", zenoh.handlers.Callback(samples.append, indirect=False))
+
+    def heard() -> bool:
+        place.far.publish_raw(out, HI)
+        return bool(samples)
+
+    until(heard, "the sample")
+    assert samples[0].payload.to_bytes() == HI
+    assert samples[0].attachment is None
+
+
+def test_in_what_a_bridge_says(place: Place) -> None:
+    bridge = place.ros2dds()
+    out = bridge.advertise("/chatter", STRING)
+    place.bridge({"dialect": "ros2dds"})
+    token = until(lambda: bridge.tokens("/chatter", "MS"), "our token")[0]
+    assert token.endswith(f"/MS/chatter/std_msgs§msg§String/:1:0:0,10:typehash={HASH};")
+    heard = place.far.subscribe("/chatter", STRING)
+    assert cross(bridge, out, place.far, heard, {"data": "hi"}) == {"data": "hi"}
+    bridge.drop(out)
+    until(lambda: not bridge.tokens("/chatter", "MS"), "our token goes with the publisher")
+
+
+def test_the_namespace_of_a_bridge(place: Place) -> None:
+    robot = place.ros2dds("robot1")
+    stranger = place.ros2dds("robot2")
+    place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
+    out = robot.advertise("/odom", STRING)
+    other = stranger.advertise("/odom", STRING)
+    heard = place.far.subscribe("/odom", STRING)
+    place.far.until_published("/odom")
+    stranger.publish(other, {"data": "of another robot"})
+    assert cross(robot, out, place.far, heard, {"data": "here"}) == {"data": "here"}
+    assert not [e for e in place.far.hub.graph.publishers() if "robot" in e.topic]
+    back = robot.subscribe("/goal", STRING)
+    goal = place.far.advertise("/goal", STRING)
+    assert cross(place.far, goal, robot, back, {"data": "go"}) == {"data": "go"}
+
+
+def test_history_of_a_deep_publisher_comes_whole_and_in_order(place: Place) -> None:
+    bridge = place.ros2dds()
+    out = bridge.advertise("/log", STRING, latched=True, depth=5)
+    for number in range(20):
+        bridge.publish(out, {"data": str(number)})
+    place.bridge({"dialect": "ros2dds"})
+    place.far.until_published("/log")
+    until(lambda: (place.route(SIDE, "/log", "in") or {}).get("messages", 0) >= 5, "the history came", every=0.1)
+    heard = place.far.subscribe("/log", STRING, latched=True)
+    assert [m["data"] for m in place.far.wait(heard, 5)] == ["15", "16", "17", "18", "19"]
+    bridge.publish(out, {"data": "20"})
+    assert place.far.wait(heard, 6)[-1] == {"data": "20"}
+    assert len(place.far.wait(heard, 7, 0.3)) == 6
+
+
+def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> None:
+    """The plugin mixes all writers of a topic in one cache; the whole set counts, not its last message."""
+    bridge = place.ros2dds()
+    out = bridge.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True, depth=1)
+    for child in ("laser", "camera", "imu"):
+        bridge.publish(out, {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": child}]})
+    place.bridge({"dialect": "ros2dds"})
+
+    def frames() -> list[str]:
+        heard = place.far.subscribe("/tf_static", "tf2_msgs/TFMessage", latched=True)
+        got = place.far.wait(heard, 1, 1.0)
+        place.far.drop(heard)
+        return sorted(t["child_frame_id"] for t in got[-1]["transforms"]) if got else []
+
+    until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms", 15)
+
+
+def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
+    """A Python program with an advanced publisher: its history has numbers beside time stamps, and comes once."""
+    session = open_session(place.router.endpoint)
+    publisher = ext.declare_advanced_publisher(
+        session, "state", cache=ext.CacheConfig(1), publisher_detection=True,
+        sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
+    )  # fmt: skip
+    alive = session.liveliness().declare_token(f"@/{session.zid()}/@ros2_lv")
+    token = session.liveliness().declare_token(f"@/{session.zid()}/@ros2_lv/MP/state/std_msgs§msg§String/:1:1:0,1")
+    publisher.put(ROS2.encode(STRING, {"data": "old"}))
+    publisher.put(ROS2.encode(STRING, {"data": "kept"}))
+    try:
+        place.bridge({"dialect": "ros2dds"})
+        until(lambda: (place.route(SIDE, "/state", "in") or {}).get("messages"), "it came", 15, every=0.1)
+        heard = place.far.subscribe("/state", STRING, latched=True)
+        assert place.far.wait(heard, 1) == [{"data": "kept"}]
+        publisher.put(ROS2.encode(STRING, {"data": "new"}))
+        assert place.far.wait(heard, 2) == [{"data": "kept"}, {"data": "new"}]
+        assert place.route(SIDE, "/state", "in")["messages"] == 2
+        token.undeclare()
+        alive.undeclare()
+        place.far.until_unpublished("/state")
+    finally:
+        session.close()
+
+
+def test_a_plain_program_on_a_configured_key(place: Place) -> None:
+    """As free_fleet's: it declares no token, and a client of the router stamps no time."""
+    place.bridge({"dialect": "ros2dds", "keys": [{"topic": "/robot1/goal", "type": "std_msgs/msg/String"}]})
+    heard = place.far.subscribe("/robot1/goal", STRING)
+    place.far.until_published("/robot1/goal")
+    session = open_session(place.router.endpoint, "client", timestamping={"enabled": False})
+    try:
+
+        def said() -> list[Any]:
+            session.put("robot1/goal", HI)
+            return place.far.wait(heard, 1, 0.2)
+
+        assert until(said, "it is heard")[0] == {"data": "hi"}
+        session.put("robot1/goal", b"\0\1\0\0junk")
+        until(lambda: place.route(SIDE, "/robot1/goal", "in")["drops"]["bad"] == 1, "junk is counted", every=0.1)
+    finally:
+        session.close()
+
+
+def test_nothing_is_heard_of_keys_that_nobody_announced(place: Place) -> None:
+    """The hub's own keys and rmw_zenoh's tokens look like none of this dialect's, though they share a network."""
+    hub = {"listen": place.hubs.endpoint}
+    bridge = place.bridge({"dialect": "ros2dds"}, zenoh={"dialects": [{"dialect": "ros2dds"}]}, hub=hub)
+    out = place.far.advertise("/chatter", STRING)
+    place.far.publish(out, {"data": "on the hub"})
+    place.until_route(SIDE, "/chatter", "out")
+    assert bridge.crossings[0].health().state == "running"
+    status = place.status(SIDE)
+    assert [r["direction"] for r in status["routes"] if r["topic"] == "/chatter"] == ["out"]
+    assert not [w for w in status["warnings"] if "left out" in w]
+    assert place.explain(SIDE, "/0/chatter") == []
+
+
+def test_a_token_that_claims_a_key_of_the_hub(place: Place) -> None:
+    """It is left out and told; the hub's own topic is not disturbed."""
+    bridge = place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    key = f"0§chatter§std_msgs::msg::dds_::String_§{HASH}"
+    claim = bridge.session.liveliness().declare_token(f"@/{bridge.zid}/@ros2_lv/MP/{key}/std_msgs§msg§String/:::")
+    until(lambda: [w for w in place.status(SIDE)["warnings"] if "left out" in w], "a warning", every=0.1)
+    assert not place.far.publishers("/chatter")
+    claim.undeclare()
+
+
+def test_a_type_hash_that_differs_is_reported(place: Place) -> None:
+    bridge = place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    other = "RIHS01_" + "ab" * 32
+    text = bridge.token("MP", "/odd", STRING, latched=False, depth=1, best_effort=False).replace(HASH, other)
+    token = bridge.session.liveliness().declare_token(text)
+    line = until(lambda: place.explain(SIDE, "/odd"), "an explanation", every=0.1)[0]
+    assert line["decision"] == "refused"
+    assert other in line["why"]
+    assert line["cure"]
+    token.undeclare()
+
+
+def test_topics_of_actions_are_not_told(place: Place) -> None:
+    """The plugin tells of actions as a whole; free_fleet hears their feedback all the same."""
+    bridge = place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    out = place.far.advertise("/go/_action/feedback", STRING)
+    place.until_route(SIDE, "/go/_action/feedback", "out")
+    samples: list[bytes] = []
+    bridge.session.declare_subscriber(
+        "go/_action/feedback", zenoh.handlers.Callback(lambda s: samples.append(s.payload.to_bytes()), indirect=False)
+    )
+
+    def heard() -> bool:
+        place.far.publish_raw(out, HI)
+        return bool(samples)
+
+    until(heard, "the sample")
+    assert bridge.tokens("/go/_action/feedback") == []
