@@ -1,0 +1,153 @@
+"""A stream of images of 100 MB/s through the daemon beside /cmd_vel and /tf: what it does to these small ones.
+
+The stream and the small topics go the same way, from ROS 1 to ROS 2 and then back. In turns the stream runs or not; the
+peer is what the small ones take without it. Images are sent and heard by processes of their own, so that the small
+topics' ends have nothing to do with them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.latency.cases import CASES, Prepared, prepare
+from benchmarks.latency.figures import figures
+from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.usage import Meter, text
+from benchmarks.rows import Row, add_json_option, report
+
+WAYS = {("ros1", "ros2"): "ROS 1 to ROS 2", ("ros2", "ros1"): "ROS 2 to ROS 1"}
+SMALL = {"/cmd_vel": "twist", "/tf": "tf"}
+STREAM, IMAGE = "/camera/image", "image1"
+FLOW = 100e6
+"""Bytes a second of the stream."""
+RATE = 100.0
+"""Messages a second on each small topic."""
+
+
+class Flood(Stage):
+    """The daemon, and two pairs of ends that send one way: of the small topics, and of the stream."""
+
+    def __init__(self, source: str, target: str, *, realtime: bool) -> None:
+        super().__init__({"ros2": {"transport": "shared_memory"}, "log": {"level": "warning"}})
+        try:
+            messages = {case.key: prepare(case, self.place.folder) for case in CASES}
+            self.topics = {"small": {t: messages[key] for t, key in SMALL.items()}, "stream": {STREAM: messages[IMAGE]}}
+            self.image_rate = FLOW / messages[IMAGE].cdr.stat().st_size
+            self.start_bridge()
+            self._open(source, target)
+            self.meter = Meter(self.process_ids())
+            if realtime:
+                self.prefer()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self, source: str, target: str) -> None:
+        for part in self.topics:
+            for role, kind in (("listener", target), ("sender", source)):
+                self.launch(f"{part} {role}", f"benchmarks.latency.{kind}_end", system=kind == "ros1")
+        for part in self.topics:
+            for role in ("listener", "sender"):
+                self.wait_for(f"{part} {role}", "ready")
+        for part, topics in self.topics.items():
+            heard = [message.topic(name, ros1=target == "ros1") for name, message in topics.items()]
+            sent = [message.topic(name, ros1=source == "ros1") for name, message in topics.items()]
+            self.command(f"{part} listener", "subscribe", "subscribed", topics=heard)
+            self.command(f"{part} sender", "advertise", "advertised", topics=sent)
+        for part, topics in self.topics.items():
+            for name, message in topics.items():
+                self._wait_until_crosses(part, name, message)
+
+    def _wait_until_crosses(self, part: str, name: str, message: Prepared) -> None:
+        end = time.monotonic() + UP_SECONDS
+        while True:
+            self.command(f"{part} sender", "send", "sent", topic=name, count=1, period=0.0)
+            if self.command(f"{part} listener", "collect", "collected", topic=name, count=1, seconds=0.5)["ages"]:
+                return
+            if time.monotonic() > end:
+                msg = f"{message.case.name} does not come through on {name}:\n{self.words()}"
+                raise RuntimeError(msg)
+
+    def turn(self, seconds: float, *, flooded: bool) -> dict[str, list[int]]:
+        """Send on the small topics, and on the stream where ``flooded``; the ages that arrived, by topic."""
+        for part in self.topics:
+            self.command(f"{part} listener", "clear", "cleared")
+        lead = 1.0
+        if flooded:
+            self._drum("stream", self.image_rate, seconds + 2 * lead)
+        time.sleep(lead)
+        self.meter.start()
+        self._drum("small", RATE, seconds)
+        time.sleep(seconds)
+        name = "with the stream" if flooded else "without"
+        print(text(name, self.meter.read()), file=sys.stderr, flush=True)
+        self.wait_for("small sender", "drummed")
+        if flooded:
+            self.wait_for("stream sender", "drummed")
+        time.sleep(0.3)
+        return {
+            topic: self.command(f"{part} listener", "collect", "collected", topic=topic, count=0, seconds=0.0)["ages"]
+            for part, topics in self.topics.items()
+            for topic in topics
+        }
+
+    def _drum(self, part: str, rate: float, seconds: float) -> None:
+        topics = list(self.topics[part])
+        self.command(f"{part} sender", "drum", "drumming", topics=topics, rate=rate, seconds=seconds)
+
+
+def measure(source: str, target: str, args: argparse.Namespace) -> list[Row]:
+    """The rows of one way."""
+    way = WAYS[source, target]
+    ages: dict[tuple[str, bool], list[int]] = defaultdict(list)
+    with Flood(source, target, realtime=args.realtime) as flood:
+        flood.turn(min(args.seconds, 1.0), flooded=True)  # the first images make room for themselves
+        for _ in range(args.turns):
+            for flooded in (False, True):
+                for topic, taken in flood.turn(args.seconds, flooded=flooded).items():
+                    ages[topic, flooded] += taken
+        sent = round(flood.image_rate * (args.seconds + 2)) * args.turns
+    rows = []
+    for topic in SMALL:
+        (p50, p99), (plain50, plain99) = figures(ages[topic, True]), figures(ages[topic, False])
+        case = f"{topic} beside {FLOW / 1e6:.0f} MB/s, {way}"
+        rows += [
+            Row(f"{case}, p50, to without", p50, plain50, "us"),
+            Row(f"{case}, p99, to without", p99, plain99, "us"),
+        ]
+        arrived = len(ages[topic, True])
+        rows.append(Row(f"{case}, arrived of sent", arrived, round(RATE * args.seconds) * args.turns, "msgs", "more"))
+    rows.append(Row(f"the stream, {way}, arrived of sent", len(ages[STREAM, True]), sent, "msgs", "more"))
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    args = _parser().parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING)
+    ways = [way for way in WAYS if args.way in (None, way[0])]
+    report([row for way in ways for row in measure(*way, args)], args.json)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--way", choices=["ros1", "ros2"], help="only the way from this side (default both)")
+    parser.add_argument("--turns", type=int, default=3, metavar="N", help="turns with and without the stream (3)")
+    parser.add_argument("--seconds", type=float, default=6.0, metavar="S", help="length of each turn (6)")
+    parser.add_argument(
+        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
+    )
+    add_json_option(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    main()
