@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
 import signal
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from bridge.config import Config
-from bridge.daemon.query import ask_daemon
+from bridge.daemon.loop import Loop
+from bridge.daemon.query import QueryServer, ask_daemon
 from tests.daemon.daemon import Daemon
 from tests.support.wait import until
 
@@ -53,3 +59,49 @@ def test_answer_of_something_else_is_none(tmp_path: Path) -> None:
     (tmp_path / "test.daemon.sock").write_text("no socket")
     assert ask_daemon(Config(name="test", state=tmp_path)) is None
     assert ask_daemon(Config(name="x" * 60, state=tmp_path / ("y" * 90))) is None
+
+
+@contextmanager
+def no_descriptors() -> Iterator[None]:
+    """This process without a single descriptor left."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    held = [os.open(os.devnull, os.O_RDONLY)]
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (held[0] + 20, hard))
+        with contextlib.suppress(OSError):
+            while True:
+                held.append(os.open(os.devnull, os.O_RDONLY))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for file in held:
+            os.close(file)
+
+
+def test_without_descriptors_a_question_is_turned_away_and_the_loop_rests(tmp_path: Path) -> None:
+    loop = Loop()
+    server = QueryServer(loop, tmp_path / "sock", dict)
+    with contextlib.closing(loop), contextlib.closing(server), socket.socket(socket.AF_UNIX) as asking:
+        asking.settimeout(5.0)
+        asking.connect(str(tmp_path / "sock"))
+        with no_descriptors():
+            loop.step(5.0)
+            assert asking.recv(100) == b"", "closed without an answer; left waiting it would wake the loop for ever"
+        with socket.socket(socket.AF_UNIX) as again:
+            again.settimeout(5.0)
+            again.connect(str(tmp_path / "sock"))
+            loop.step(5.0)
+            assert again.recv(100) == b"{}"
+
+
+def test_daemon_tells_why_nothing_can_be_kept(daemon: Daemon) -> None:
+    config = Config(name="test", state=daemon.folder / "state")
+    process = daemon.start()
+    daemon.wait_ready(process)
+    (daemon.folder / "state").rename(daemon.folder / "elsewhere")
+    daemon.wait_output(process, f"the state folder {config.state}: No such file or directory; make it writable, or set")
+    (daemon.folder / "elsewhere").rename(daemon.folder / "state")
+    daemon.wait_output(process, "the state folder can be written again")
+    said = ask_daemon(config)
+    assert said is not None
+    assert "state folder" not in said["status"]

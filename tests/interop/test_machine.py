@@ -109,10 +109,10 @@ def test_a_hundred_broken_configurations(running: Deployment) -> None:
 
 
 @contextmanager
-def small_disk(folder: Path, *options: str) -> Iterator[Path]:
-    """A real file system of a few pages."""
+def small_disk(folder: Path) -> Iterator[Path]:
+    """A real file system of 3 MB."""
     folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", *options, "tmpfs", str(folder)], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(folder)], check=True)
     try:
         yield folder
     finally:
@@ -224,7 +224,10 @@ def test_no_descriptors_left(running: Deployment) -> None:
         out = [program.advertise(topic, STRING) for topic in topics]
         until(lambda s=side: NO_DESCRIPTORS in str(running.worker(s).get("warnings")), "it is told", 20)
         flow.check()
-        assert NO_DESCRIPTORS in running.command("status").stdout
+        said = running.command("status").stdout
+        assert NO_DESCRIPTORS in said
+        if side == "ros1":  # one socket for each publisher that is heard
+            assert "no file descriptor left" in said or "Too many open files" in said
         doctor = running.command("doctor", "--only", "descriptors")
         assert doctor.returncode == 1
         assert "LimitNOFILE=" in doctor.stdout
