@@ -10,13 +10,13 @@ from typing import Any
 
 import psutil
 
-from bridge.adapters import room
 from bridge.adapters.base import Edge
 from bridge.config.model import Config, RoutingSection
 from bridge.config.state import state_folder
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
+from bridge.routing import room
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.engine import Engine
 from bridge.worker import Health

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bridge.adapters.base import Edge
-from bridge.adapters.room import OUT, RAISE
 from bridge.hub.session import Hub
 from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageTypeError
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.lease import Lease
+from bridge.routing.room import OUT, RAISE
 from bridge.routing.route import Route
 from bridge.routing.typebook import TypeBook
 from bridge.routing.verdict import Verdict

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import psutil
 
-from bridge.adapters.room import FULL, RAISE
 from bridge.config import state
 from bridge.doctor.around import Around
 from bridge.doctor.finding import Finding, fail, ok, skip, warn
+from bridge.routing.room import FULL, RAISE
 
 WANTED = 4096
 """rospy takes about two descriptors for a subscribed topic; a thousand topics and room for the rest."""
