@@ -92,9 +92,19 @@ def _show_worker(console: Console, document: Document) -> None:
         )
         if refused.get("cure"):
             console.print(Text(f"             cure: {clean(refused['cure'])}"))
+    for machine in _dicts(document.get("machines")):
+        console.print(_machine(machine))
     warnings = document.get("warnings")
     for warning in warnings if isinstance(warnings, list) else ():
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))
+
+
+def _machine(machine: Document) -> Text:
+    """Another machine that is connected."""
+    name, address = clean(machine.get("name") or "a machine without a certificate"), clean(machine.get("address", "?"))
+    if machine.get("trusted"):
+        return Text(f"           {name} at {address}")
+    return Text(f"           {name} may not command (hub.open.trusted), at {address}", "yellow")
 
 
 def _figures(document: Document) -> str:

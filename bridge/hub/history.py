@@ -51,6 +51,7 @@ class History:
     def __init__(self, session: zenoh.Session, key: str, depth: int, listener: Listener, *, recovers: bool) -> None:
         self._session = session
         self._key = key
+        self._samples = zenoh.KeyExpr(key)
         self.depth = depth
         self._listener = listener
         self._recovers = recovers
@@ -137,7 +138,8 @@ class History:
             self.ask(str(sample.key_expr), publisher[0])
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None:
+        # what is asked is not on the samples' key: whoever answers could say anything on any key that it may write
+        if reply.ok is not None and self._samples.includes(reply.ok.key_expr):
             self._listener.came(reply.ok)
 
 

@@ -26,9 +26,8 @@ _CACHES = "**/@adv/**"
 _SPACES = ("**", _CACHES, f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
 """``**`` does not match what begins with ``@``."""
 
-_TOKENS = ("liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
-_DECLARATIONS = ("declare_subscriber", "declare_queryable", *_TOKENS)
-_EVERYTHING = ("put", "delete", "query", "reply", *_DECLARATIONS)
+_LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
+_EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENING)
 
 _GOAL = "Goal_"
 """Types of goals and cancels end so: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
@@ -59,12 +58,16 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
     if names:
         subjects.append({"id": "trusted", "cert_common_names": names, **others})
         masters.append("trusted")
+    control = f"{MIDSPAN_SPACE}/**"
+    harmless = harmless_keys(commands(routing))
     guest = [
         _rule("hear", "egress", _EVERYTHING, _SPACES),
-        _rule("join", "ingress", _DECLARATIONS, _SPACES),
-        _rule("say", "ingress", ("put", "reply"), harmless_keys(commands(routing))),
-        _rule("tell", "ingress", ("put", "reply"), (_CACHES, f"{MIDSPAN_SPACE}/**")),
-        _rule("ask", "ingress", ("query",), (*_QUESTIONS, _CACHES, f"{MIDSPAN_SPACE}/**")),
+        _rule("join", "ingress", _LISTENING, _SPACES),
+        _rule("say", "ingress", ("put", "reply"), (*harmless, control)),
+        # who is asked for a latched command could answer on any key
+        _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
+        _rule("serve", "ingress", ("declare_queryable",), ("**", control)),
+        _rule("ask", "ingress", ("query",), (*_QUESTIONS, _CACHES, control)),
     ]
     everything = [_rule(f"everything {flow}", flow, _EVERYTHING, _SPACES) for flow in ("ingress", "egress")]
     return {

@@ -239,22 +239,24 @@ def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
 
 
 def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
-    """Latched subscriptions ask publishers for what they keep; only a trusted machine may answer with a command."""
+    """Who keeps latched samples is asked for them beside their key; only a trusted machine is asked for commands."""
     local = machines.session(None)
     guest = machines.session("guest")
-    said = key("/state", TYPE)
+    state, goal = key("/state", TYPE), key("/goal_pose", POSE)
 
     def answer(query: zenoh.Query) -> None:
         with query:
-            for each in (CMD_VEL, "0/**", ACTIONLIB_GOAL, said):
+            for each in (goal, "0/**", ACTIONLIB_GOAL, state):
                 query.reply(each, b"go")
 
+    for each in (state, goal):
+        guest.declare_queryable(f"{each}/@adv/pub/{guest.zid()}/7/_/**", answer)
     guest.declare_queryable("**/@adv/**", answer)
-    asked = f"{CMD_VEL}/@adv/pub/**"
+    guest.declare_queryable("0/goal_pose/**/@adv/**", answer)
 
-    def ask() -> list[str]:
+    def ask(key: str) -> list[str]:
         replies = local.get(
-            asked,
+            f"{key}/@adv/pub/**",
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             accept_replies=zenoh.ReplyKeyExpr.ANY,
@@ -262,7 +264,8 @@ def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
         )
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
-    assert until(ask, "the guest answers") == [said]
+    assert set(until(lambda: ask(state), "the guest answers")) == {state}
+    assert ask(goal) == []
 
 
 def test_others_cannot_join(machines: Machines) -> None:

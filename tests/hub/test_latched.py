@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+import zenoh
 
+from bridge.hub import attachment
+from bridge.hub.keyexpr import topic_key
 from bridge.hub.qos import History, Qos
 from bridge.hub.session import Hub
-from tests.hub.parts import BEST_EFFORT_LATCHED, LATCHED, STREAM, Heard, matched, see_each_other, talk
+from bridge.hub.settings import make_config, session_tree
+from tests.hub.parts import BEST_EFFORT_LATCHED, HASH, LATCHED, STREAM, TYPE, Heard, matched, see_each_other, talk
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -211,3 +215,27 @@ def test_a_gap_is_filled_from_the_cache(network: HubNetwork):
         heard.wait("one", "two")
         assert heard.texts() == ["one", "two"]
         assert heard.subscription.lost == 0
+
+
+def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
+    """Whoever may write any one key could otherwise put words on the topics of latched subscriptions."""
+    key = topic_key(network.domain, "/goal", TYPE, HASH)
+    other = topic_key(network.domain, "/harmless", TYPE, HASH)
+    with Hub.open(network.settings("a")) as a, zenoh.open(_client(network)) as forger:
+        heard = Heard(a, "/goal", LATCHED)
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                query.reply(other, b"forged", attachment=attachment.pack(1, 1, bytes(16)))
+                query.reply(key, b"kept", attachment=attachment.pack(1, 1, bytes(15) + b"x"))
+
+        place = f"{key}/@adv/pub/{forger.zid()}/7/_"
+        forger.declare_queryable(place, answer)
+        token = forger.liveliness().declare_token(place)
+        heard.wait("kept")
+        token.undeclare()
+
+
+def _client(network: HubNetwork) -> zenoh.Config:
+    tree = session_tree(network.endpoint, shared_memory=False, max_payload=1 << 20)
+    return make_config(tree, {"mode": "client"})

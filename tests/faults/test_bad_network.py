@@ -1,0 +1,206 @@
+"""Two machines' doors with a bad network between them: what is late, what comes back, and what it costs others."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.adapters.base import MadeBy
+from bridge.hub.authority import Authority
+from bridge.hub.qos import Qos, Reliability
+from bridge.hub.session import Hub
+from bridge.hub.subscription import HubSample
+from bridge.messages.registry import Registry
+from tests.cli.workers import EngineWorker
+from tests.hub.parts import HASH, LATCHED, Heard, see_each_other, talk
+from tests.support.faults import FaultProxy
+from tests.support.hub import HubNetwork
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+TWIST, IMAGE = "geometry_msgs/msg/Twist", "sensor_msgs/msg/Image"
+TIMEOUT = 0.3
+LATE = 0.6
+"""Twice the rule's time-out, for a busy machine."""
+
+
+@dataclass
+class Link:
+    """A robot whose engine drives a base, an operator's session, and the network between their doors."""
+
+    proxy: FaultProxy
+    robot: HubNetwork
+    engine: EngineWorker
+    operator: Hub
+    driven: list[tuple[float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        registry = Registry()
+        type_hash = registry.ros2(TWIST).type_id
+        self.engine.side.read_from("/cmd_vel", TWIST, Qos(), MadeBy.NATIVE, "/base", self._drive)
+        qos = Qos(depth=10)
+        self.sticks = self.operator.publisher("/cmd_vel", TWIST, type_hash, qos, priority="command")
+
+    def _drive(self, payload: bytes, _source: str, _time: int | None) -> None:
+        (stamp,) = struct.unpack_from("<d", payload, 4)
+        self.driven.append((stamp, time.monotonic()))
+
+    def command(self, seconds: float) -> None:
+        """Send the time as a command, 50 times a second."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.sticks.put(b"\0\1\0\0" + struct.pack("<6d", time.monotonic(), 0, 0, 0, 0, 0))
+            time.sleep(0.02)
+
+    def drives(self) -> bool:
+        """Whether commands get through."""
+        before = len(self.driven)
+        self.command(0.1)
+        return len(self.driven) > before
+
+    def latest(self) -> float:
+        """The most that a command that was delivered had waited."""
+        return max(arrived - stamp for stamp, arrived in self.driven)
+
+    def dropped(self) -> int:
+        """Commands that the robot dropped as too old."""
+        routes = self.engine.engine.status()["routes"]
+        return sum(route["drops"]["stale"] for route in routes if route["topic"] == "/cmd_vel")
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> Iterator[Link]:
+    authority = Authority(tmp_path)
+    authority.make()
+    authority.issue("test", ["127.0.0.1"])
+    port = free_port()
+    keys: dict[str, Any] = {"keys": str(tmp_path), "trusted": ["test"]}
+    rules = [{"topic": "/cmd_vel", "type": TWIST, "priority": "command", "timeout": TIMEOUT}]
+    with (
+        FaultProxy(port) as proxy,
+        HubNetwork(door={"listen": [f"tls/127.0.0.1:{port}"], **keys}) as robot,
+        HubNetwork(door={"connect": [f"tls/127.0.0.1:{proxy.port}"], **keys}) as operator,
+        Hub.open(operator.settings("operator")) as sticks,
+    ):
+        engine = EngineWorker(robot, Registry(), rules=rules)
+        try:
+            made = Link(proxy, robot, engine, sticks)
+            until(made.drives, "commands get through", 20)
+            yield made
+        finally:
+            engine.close()
+
+
+def test_what_waited_in_a_stalled_link_is_not_obeyed(link: Link) -> None:
+    heard, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    until(mouth.matched, "the other topic")
+    link.command(0.5)
+    for seconds in (0.2, 1.0):
+        link.proxy.freeze()
+        link.command(seconds)
+        mouth.put(b"%g" % seconds)
+        link.proxy.thaw()
+        until(link.drives, "commands get through again", 20)
+    assert link.latest() < LATE
+    assert link.dropped() > 10
+    heard.wait("0.2", "1")
+
+
+def test_a_link_that_grows_slow_delivers_nothing_late(link: Link) -> None:
+    for delay in (0.0, 0.05, 0.2, 0.5, 0.8):
+        link.proxy.delay = delay
+        link.command(0.4)
+    link.proxy.delay = 0.0
+    until(link.drives, "commands get through again", 20)
+    assert link.latest() < LATE
+    assert link.dropped()
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_a_half_open_connection_is_given_up_and_made_anew(link: Link, direction: str) -> None:
+    see_each_other(link.engine.hub, link.operator)
+    link.proxy.freeze(direction)
+    started = time.monotonic()
+    deaf = link.engine.hub if direction == "up" else link.operator
+    other = link.operator if direction == "up" else link.engine.hub
+    until(lambda: other.zid not in {node.zid for node in deaf.graph.nodes()}, "the silence is noticed", 15)
+    noticed = time.monotonic() - started
+    link.command(0.5)
+    link.proxy.thaw()
+    thawed = time.monotonic()
+    until(link.drives, "commands get through again", 20)
+    print(
+        f"half-open ({direction}): noticed after {noticed:.1f} s, back {time.monotonic() - thawed:.1f} s after its end"
+    )
+    assert link.latest() < LATE
+
+
+def test_cut_connections_are_made_anew_with_all_state(link: Link) -> None:
+    talk(link.engine.hub, "/map", LATCHED, "first")
+    heard = Heard(link.operator, "/map", LATCHED)
+    heard.wait("first")
+    changing = talk(link.engine.hub, "/plan", LATCHED, "old")
+    plan = Heard(link.operator, "/plan", LATCHED)
+    plan.wait("old")
+    started = time.monotonic()
+    for _ in range(3):
+        link.proxy.cut()
+        changing.put(b"newer")
+        until(link.drives, "commands get through again", 20)
+    print(f"cut three times: {time.monotonic() - started:.1f} s")
+    changing.put(b"newest")
+    until(lambda: plan.texts()[-1] == "newest", "the state is complete", 20)
+    assert set(heard.texts()) == {"first"}
+    Heard(link.operator, "/map", LATCHED).wait("first")
+    assert link.latest() < LATE
+
+
+def test_a_slow_link_delays_nobody_else(link: Link) -> None:
+    """50 kB/s for a stream of 3 MB/s: the robot's own subscribers get all of it at once, and commands stay fresh."""
+    qos = Qos(Reliability.RELIABLE, depth=5)
+    arrived: list[float] = []
+
+    def take(sample: HubSample) -> None:
+        arrived.append(time.monotonic() - struct.unpack_from("<d", sample.payload.to_bytes())[0])
+
+    far: list[HubSample] = []
+    with Hub.open(link.robot.settings("local")) as local:
+        local.subscription("/image", IMAGE, HASH, qos, take)
+        link.operator.subscription("/image", IMAGE, HASH, qos, far.append)
+        camera = link.engine.hub.publisher("/image", IMAGE, HASH, qos)
+        see_each_other(local, link.engine.hub, link.operator)
+        until(camera.matched, "the image is wanted")
+        link.proxy.rate = 50e3
+        longest, end = 0.0, time.monotonic() + 3
+        sent = 0
+        while time.monotonic() < end:
+            before = time.monotonic()
+            camera.put(struct.pack("<d", before) + bytes(100_000))
+            longest = max(longest, time.monotonic() - before)
+            sent += 1
+            link.command(0.02)
+        until(lambda: len(arrived) == sent, "everything arrives on this machine", 10)
+        link.proxy.rate = None
+    arrived.sort()
+    print(
+        f"slow link: put took up to {longest * 1e3:.1f} ms, here {arrived[len(arrived) // 2] * 1e3:.1f} ms (median), "
+        f"{len(far)} of {sent} got to the other machine"
+    )
+    assert arrived[len(arrived) // 2] < 0.1
+    assert link.latest() < LATE
+    assert len(far) < sent
+    until(link.drives, "commands get through", 20)
+
+
+def test_state_gets_through_a_slow_link(link: Link) -> None:
+    link.proxy.rate = 200e3
+    big = talk(link.engine.hub, "/map", LATCHED)
+    big.put(b"m" * 400_000)
+    heard = Heard(link.operator, "/map", LATCHED)
+    until(lambda: heard.texts() == ["m" * 400_000], "the map", 30)

@@ -1,0 +1,246 @@
+"""A robot and an operator's computer, each a network namespace with a real daemon, joined by TLS over a real link.
+
+They run ``configs/robot.yaml`` and ``configs/operator.yaml``, with certificates that ``midspan keys`` made.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.interop.deployment import MIDSPAN
+from tests.support.netns import Cable, Machine, need_namespaces
+from tests.support.peer import Peer
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PEER, ROS1_PYTHON, ros1_environment
+from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[2]
+STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
+GUEST = ROOT / "tests" / "support" / "network_guest.py"
+STALE = 0.6
+"""Seconds after which a command is too old: twice the configurations' time-out, for the machine's load."""
+
+
+class Pair:
+    """The two machines with what runs on them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.robot, self.operator = Machine("robot"), Machine("operator")
+        self.cable = Cable(self.robot, self.operator)
+        here = {socket.gethostname(): "127.0.0.1"}
+        for machine in (self.robot, self.operator):
+            machine.hosts(robot1=self.cable.addresses[0], **here)
+        self.files = {"robot": folder / "robot.yaml", "operator": folder / "operator.yaml"}
+        self.ros1_env = {
+            **ros1_environment("http://127.0.0.1:11311"),
+            "ROS_HOME": str(folder / "ros"),
+            "ROS_LOG_DIR": str(folder / "ros" / "log"),
+        }
+        self.processes: list[Process] = []
+        self.daemons: dict[str, Process] = {}
+
+    def start(self) -> None:
+        for name in ("robot1", "operator1", "visitor"):
+            self.operator.run(*MIDSPAN, "keys", "make", name, "--folder", self.folder / "keys")
+        self.configure("robot", ros1={"poll": 0.1, "master": "http://127.0.0.1:11311"})
+        self.configure("operator", ros2={"domain": ros2_domain()})
+        self.processes.append(self.robot.start(ROS1_PYTHON, "/usr/bin/roscore", env=self.ros1_env))
+        for name, machine in (("robot", self.robot), ("operator", self.operator)):
+            daemon = machine.start(*MIDSPAN, "run", "--config", self.files[name], env=dict(os.environ))
+            self.daemons[name] = daemon
+            self.processes.append(daemon)
+        self.ros1 = self.peer(self.robot, ROS1_PYTHON, ROS1_PEER, self.ros1_env, "robot_program")
+        self.ros2 = self.peer(self.operator, ros2_python(), ROS2_PEER, ros2_environment(), "operator_program")
+
+    def configure(self, name: str, **over: dict[str, Any]) -> None:
+        """Write a machine's configuration: the shipped one, with a test's folders and networks."""
+        config = yaml.safe_load((ROOT / "configs" / f"{name}.yaml").read_text())
+        config["state"] = str(self.folder / name)
+        config["hub"]["open"]["keys"] = str(self.folder / "keys")
+        for section, values in over.items():
+            config[section] = {**config.get(section, {}), **values}
+        self.files[name].write_text(yaml.safe_dump(config))
+
+    def trust(self, *names: str) -> None:
+        """Have the robot trust these machines alone, by a reload."""
+        config = yaml.safe_load(self.files["robot"].read_text())
+        config["hub"]["open"]["trusted"] = list(names)
+        self.files["robot"].write_text(yaml.safe_dump(config))
+        os.kill(self.daemons["robot"].pid, 1)
+        expected = [("operator1", "operator1" in names)]
+        until(lambda: self.machines() == expected, f"the robot trusts {names}", 40, every=0.3)
+
+    def machines(self) -> list[tuple[str, bool]]:
+        """Who is connected to the robot, and whether it is trusted."""
+        status = json.loads(self.robot.run(*MIDSPAN, "status", "--json", "--config", self.files["robot"]))
+        found = [
+            (machine["name"], machine["trusted"])
+            for worker in status
+            if worker.get("daemon") == "robot1"
+            for machine in worker.get("machines", [])
+        ]
+        return sorted(found)
+
+    def peer(self, machine: Machine, python: Path, program: Path, env: dict[str, str], name: str) -> Peer:
+        made = Peer(Path("netns"), Path("ip"), env, "exec", machine.namespace, str(python), str(program), name)
+        self.processes.append(made)
+        return made
+
+    def close(self) -> None:
+        for process in reversed(self.processes):
+            process.stop()
+        for machine in (self.robot, self.operator):
+            machine.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pair]:
+    need_namespaces()
+    pair = Pair(tmp_path_factory.mktemp("network"))
+    try:
+        pair.start()
+        yield pair
+    finally:
+        for name, daemon in pair.daemons.items():
+            print(f"--- {name}\n{daemon.output()[-6000:]}")
+        pair.close()
+
+
+@pytest.fixture
+def pair(running: Pair) -> Iterator[Pair]:
+    with running.cable:
+        yield running
+
+
+class Crossing:
+    """One topic from a program of one machine to one of the other's."""
+
+    def __init__(self, sender: Peer, hearer: Peer, topic: str, type_: str = STRING, **qos: Any) -> None:
+        self.sender, self.hearer = sender, hearer
+        self.heard_by = hearer.subscribe(topic, type_, **qos)
+        self.out = sender.advertise(topic, type_, **qos)
+
+    def say(self, value: float) -> None:
+        self.sender.publish(self.out, {"linear": {"x": value}})
+
+    def heard(self) -> list[float]:
+        return [message["linear"]["x"] for message in self.hearer.wait(self.heard_by, 0, 0)]
+
+    def crosses(self) -> bool:
+        """Whether the next words come through."""
+        before = len(self.heard())
+        self.say(time.monotonic())
+        return len(self.hearer.wait(self.heard_by, before + 1, 0.2)) > before
+
+
+def until_heard(sender: Peer, out: int, hearer: Peer, heard: int, text: str, seconds: float = 60) -> None:
+    """Publish a text until it is heard."""
+
+    def once() -> bool:
+        sender.publish(out, {"data": text})
+        return {"data": text} in hearer.wait(heard, 10_000, 0.2)
+
+    until(once, f"{text} crosses", seconds)
+
+
+def test_topics_cross_both_ways_latched_ones_too(pair: Pair) -> None:
+    for sender, hearer, name in ((pair.ros1, pair.ros2, "to_operator"), (pair.ros2, pair.ros1, "to_robot")):
+        out, heard = sender.advertise(f"/{name}", STRING), hearer.subscribe(f"/{name}", STRING)
+        kept = sender.advertise(f"/{name}_kept", STRING, latched=True)
+        sender.publish(kept, {"data": "kept"})
+        until_heard(sender, out, hearer, heard, name)
+        late = hearer.subscribe(f"/{name}_kept", STRING, latched=True)
+        assert hearer.wait(late, 1, 30) == [{"data": "kept"}]
+
+
+def stream(crossing: Crossing, seconds: float, stop: Callable[[], bool] = lambda: False) -> None:
+    """Send the time as a command, 20 times a second."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not stop():
+        crossing.say(time.monotonic())
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("seconds", [1.5, 5.0], ids=["shorter than the lease", "longer"])
+def test_a_link_cut_and_mended(pair: Pair, seconds: float) -> None:
+    ros1, ros2 = pair.ros1, pair.ros2
+    name = f"/cut_{int(seconds)}"
+    drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
+    until(drive.crosses, "commands cross", 60)
+    numbers, counted = ros1.advertise(f"{name}/numbers", STRING), ros2.subscribe(f"{name}/numbers", STRING)
+    until_heard(ros1, numbers, ros2, counted, "0")
+    state = {peer: peer.advertise(f"{name}/state_{i}", STRING, latched=True) for i, peer in enumerate((ros1, ros2))}
+    seen = {ros1: ros1.subscribe(f"{name}/state_1", STRING, latched=True)}
+    seen[ros2] = ros2.subscribe(f"{name}/state_0", STRING, latched=True)
+    for peer, publisher in state.items():
+        peer.publish(publisher, {"data": "before"})
+    for peer, subscriber in seen.items():
+        assert {"data": "before"} in peer.wait(subscriber, 1, 30)
+    ros1.ask("count", id=numbers, first=1, count=100_000, rate=50)
+    stream(drive, 1.0)
+
+    pair.cable.cut()
+    stream(drive, seconds)
+    for peer, publisher in state.items():
+        peer.publish(publisher, {"data": "changed"})
+    before = len(drive.heard())
+    cut_off = ros2.ask("tally", id=counted)["received"]
+    mended = time.monotonic()
+    pair.cable.mend()
+    stream(drive, 40, lambda: len(drive.heard()) > before)
+    commands_back = time.monotonic() - mended
+    until(lambda: ros2.ask("tally", id=counted)["received"] > cut_off + 20, "numbers come again", 40)
+    numbers_back = ros2.ask("tally", id=counted)["last"] - mended
+    stream(drive, 1.0)
+    print(
+        f"link cut for {seconds:g} s: back {commands_back:.1f} s (commands), {numbers_back:.1f} s (data) after mending"
+    )
+    later = drive.heard()[before:]
+    assert later
+    assert min(later) > mended - STALE, f"a command {mended - min(later):.1f} s old came after the link was mended"
+    for peer, subscriber in seen.items():
+        until(lambda p=peer, s=subscriber: {"data": "changed"} in p.wait(s, 10_000, 0.2), "state is complete", 40)
+        assert peer.wait(subscriber, 10_000, 0.1)[-1] == {"data": "changed"}
+    ros1.ask("counted", id=numbers, now=True)
+    for peer, publisher in state.items():
+        peer.drop(publisher)
+
+
+def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> None:
+    ros1, ros2 = pair.ros1, pair.ros2
+    drive = Crossing(ros2, ros1, "/cmd_vel", TWIST)
+    until(drive.crosses, "commands cross", 60)
+    pair.trust("somebody_else")
+    try:
+        out, heard = ros2.advertise("/other_data", STRING), ros1.subscribe("/other_data", STRING)
+        until_heard(ros2, out, ros1, heard, "first")
+        before = len(drive.heard())
+        stream(drive, 1.0)
+        until_heard(ros2, out, ros1, heard, "second")
+        assert len(drive.heard()) == before
+        assert "operator1 may not command" in pair.robot.run(*MIDSPAN, "status", "--config", pair.files["robot"])
+    finally:
+        pair.trust("operator1")
+    until(drive.crosses, "commands cross again", 40)
+
+
+def test_nobody_gets_past_the_door(pair: Pair) -> None:
+    """A peer with a certificate, and with an address that zenoh's gossip could tell, is linked to the door alone."""
+    heard = pair.ros1.subscribe("/cmd_vel", TWIST)
+    words = [pair.folder / "keys", "tls/robot1:7448", f"tcp/{pair.cable.addresses[1]}:0"]
+    told = json.loads(pair.operator.run(sys.executable, GUEST, *words, env={**os.environ, "PYTHONPATH": str(ROOT)}))
+    assert [link.partition("/")[0] for link in told["links"]] == ["tls"]
+    assert told["topics"], "it sees the robot's graph"
+    assert 66.0 not in [message["linear"]["x"] for message in pair.ros1.wait(heard, 10_000, 0.5)]

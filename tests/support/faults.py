@@ -1,0 +1,136 @@
+"""A TCP proxy that is a bad network: it stalls, delays, slows down, goes half-open, and cuts connections."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections import deque
+from types import TracebackType
+from typing import Self
+
+TICK = 0.005
+BUFFER = 64 << 10
+"""Bytes under way in one direction, as on a network of short queues."""
+
+
+class FaultProxy:
+    """Passes connections on to a port of loopback. ``up`` is from who connects, ``down`` is to them.
+
+    Attributes:
+        port: where it listens on 127.0.0.1.
+        delay: seconds that every byte takes more.
+        rate: bytes a second and direction, None for as many as will.
+        frozen: directions in which nothing moves; connections stay, and new ones are accepted.
+    """
+
+    def __init__(self, to: int) -> None:
+        self._to = to
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._listener.getsockname()[1]
+        self.delay = 0.0
+        self.rate: float | None = None
+        self.frozen: frozenset[str] = frozenset()
+        self._open = True
+        self._links: list[tuple[socket.socket, socket.socket]] = []
+        self._lock = threading.Lock()
+        self._threads = [threading.Thread(target=self._accept, name="fault-proxy")]
+        self._threads[0].start()
+
+    def freeze(self, *directions: str) -> None:
+        """Let nothing through that way; without a direction, in neither."""
+        self.frozen = frozenset(directions or ("up", "down"))
+
+    def thaw(self) -> None:
+        """Let it through again, with what waited."""
+        self.frozen = frozenset()
+
+    def cut(self) -> None:
+        """Close all connections; who connects again gets through."""
+        with self._lock:
+            links, self._links = self._links, []
+        for sock in (sock for link in links for sock in link):
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Stop."""
+        self._open = False
+        self.thaw()
+        self.cut()
+        for thread in self._threads:
+            thread.join()
+        self._listener.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def _accept(self) -> None:
+        while self._open:
+            if not select.select([self._listener], [], [], 0.05)[0]:
+                continue
+            near, _ = self._listener.accept()
+            try:
+                far = socket.create_connection(("127.0.0.1", self._to))
+            except OSError:
+                near.close()
+                continue
+            for sock in (near, far):
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._lock:
+                self._links.append((near, far))
+            ends = _Ends(near, far)
+            for source, sink, direction in ((near, far, "up"), (far, near, "down")):
+                thread = threading.Thread(target=self._pump, args=(source, sink, direction, ends), name="fault-proxy")
+                self._threads.append(thread)
+                thread.start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket, direction: str, ends: _Ends) -> None:
+        waiting: deque[tuple[float, bytes]] = deque()
+        held = 0
+        with contextlib.suppress(OSError), ends:
+            while self._open:
+                if direction in self.frozen:
+                    time.sleep(TICK)
+                    continue
+                if held < BUFFER and select.select([source], [], [], TICK)[0]:
+                    data = source.recv(4096)
+                    if not data:
+                        return
+                    waiting.append((time.monotonic() + self.delay, data))
+                    held += len(data)
+                elif held >= BUFFER:
+                    time.sleep(TICK)
+                while waiting and waiting[0][0] <= time.monotonic() and direction not in self.frozen:
+                    _, data = waiting.popleft()
+                    held -= len(data)
+                    if self.rate is not None:
+                        time.sleep(len(data) / self.rate)
+                    sink.sendall(data)
+
+
+class _Ends:
+    """Both sockets of a connection, closed when both of its directions have ended."""
+
+    def __init__(self, *sockets: socket.socket) -> None:
+        self._sockets = sockets
+        self._left = 2
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        for sock in self._sockets:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+        with self._lock:
+            self._left -= 1
+            if self._left == 0:
+                for sock in self._sockets:
+                    sock.close()

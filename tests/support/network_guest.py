@@ -1,0 +1,51 @@
+"""A zenoh peer with a certificate that nobody trusts: it tries to be linked to, and to drive.
+
+Usage: network_guest.py KEYS DOOR LISTEN. Prints JSON: where it is linked to, and the topics of the hub that it sees.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import zenoh
+
+from bridge.hub import attachment
+from bridge.hub.settings import make_config, session_tree
+from bridge.messages.registry import Registry
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+def main(keys: Path, door: str, listen: str) -> None:
+    """Join within ten seconds, forge for two, tell."""
+    tree = session_tree(door, shared_memory=False, max_payload=1 << 20)
+    tls = {
+        "root_ca_certificate": str(keys / "ca.pem"),
+        "connect_certificate": str(keys / "visitor.pem"),
+        "connect_private_key": str(keys / "visitor.key"),
+        "enable_mtls": True,
+    }
+    over = {"listen": {"endpoints": [listen]}, "transport": {"link": {"tls": tls}}}
+    type_hash = Registry().ros2(TWIST).type_id
+    forged = b"\0\1\0\0" + bytes.fromhex("0000000000805040") + bytes(40)
+    with zenoh.open(make_config(tree, over)) as session:
+        end = time.monotonic() + 10
+        while not session.info.links() and time.monotonic() < end:
+            time.sleep(0.05)
+        end = time.monotonic() + 2
+        number = 0
+        while time.monotonic() < end:
+            number += 1
+            said = attachment.pack(number, time.time_ns(), bytes(16))
+            for key in (f"0/cmd_vel/geometry_msgs::msg::dds_::Twist_/{type_hash}", "0/cmd_vel/**", "**"):
+                session.put(key, forged, attachment=said)
+            time.sleep(0.1)
+        links = sorted({str(link.dst) for link in session.info.links()})
+        tokens = [str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/**") if reply.ok]
+        print(json.dumps({"links": links, "topics": tokens}))
+
+
+main(Path(sys.argv[1]), sys.argv[2], sys.argv[3])
