@@ -6,6 +6,7 @@ import json
 import subprocess
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ from bridge.cli.main import main
 from bridge.doctor.checks import keys
 from bridge.doctor.finding import Result
 from bridge.hub.authority import Authority, CertificateError, read_certificate, signed_by
-from tests.doctor.parts import around, results
+from tests.doctor.parts import around, hub, results
 
 
 def run(folder: Path, *words: str) -> int:
@@ -137,6 +138,19 @@ def test_doctor_finds_what_is_wrong_with_the_files(folder: Path) -> None:
     (folder / "robot1.pem").unlink()
     ((result, seen),) = looked_at(folder)
     assert (result, "there is no" in seen) == (Result.FAIL, True)
+
+
+def test_doctor_tells_who_takes_no_commands(folder: Path) -> None:
+    def router(daemon: str, name: str, *, trusted: bool) -> dict[str, Any]:
+        return {"daemon": daemon, "worker": "router", "machines": [{"name": name, "trusted": trusted}]}
+
+    view = hub(
+        router("a", "robot1", trusted=True), router("b", "robot1", trusted=False), router("c", "other", trusted=False)
+    )
+    place = around({"hub": {"open": {"connect": ["tls/b:7448"], "keys": str(folder)}}}, hub=view)
+    (finding,) = keys.look(place)
+    assert finding.result is Result.WARN
+    assert finding.seen.startswith("b takes no commands")
 
 
 @pytest.mark.parametrize(("days", "expected"), [(31, Result.OK), (20, Result.WARN)])

@@ -83,6 +83,51 @@ CASES = [
         ],
     ),
     (
+        "hub: {listen: 'tcp/0.0.0.0:7447'}",
+        [
+            (
+                "1:15: hub.listen: 'tcp/0.0.0.0:7447' is open to other machines; listen on 127.0.0.1, and let"
+                " others in by hub.open"
+            )
+        ],
+    ),
+    (
+        "hub:\n  open: {listen: ['tcp/0.0.0.0:7448']}",
+        [
+            (
+                "2:9: hub.open: tcp/0.0.0.0:7448 has no TLS: anybody on that network could join; write"
+                " tls/0.0.0.0:7448 and make certificates with 'midspan keys', or say 'insecure: true'"
+            )
+        ],
+    ),
+    (
+        "hub: {open: {connect: ['tcp/a:7448'], insecure: true, trusted: [a]}}",
+        ["1:13: hub.open: without TLS nobody shows a certificate, and 'a' cannot be told from others; use TLS"],
+    ),
+    ("hub: {open: {trusted: [a]}}", ["1:13: hub.open: names no endpoint: give 'listen' or 'connect'"]),
+    (
+        "hub: {open: {listen: ['tls/0.0.0.0:7447']}}",
+        [
+            (
+                "1:6: hub: tls/0.0.0.0:7447 has the port of hub.listen (tcp/127.0.0.1:7447), which is taken; choose"
+                " another, such as 7448"
+            )
+        ],
+    ),
+    (
+        "hub: {router: false, open: {connect: ['tls/a:7448']}}",
+        ["1:6: hub: hub.open needs the daemon's router, and hub.router is false"],
+    ),
+    (
+        "hub: {open: {connect: ['tls/a:7448']}}\nrouting:\n  rules:\n  - {topic: /drive, priority: command}",
+        [
+            (
+                "4:5: routing.rules[0]: with hub.open a command rule says its type, for example 'type:"
+                " geometry_msgs/msg/Twist': the door tells commands by their types"
+            )
+        ],
+    ),
+    (
         "ros1: {master: robot}",
         ["1:16: ros1.master: 'robot' is not a master's URI; give for example http://robot:11311"],
     ),

@@ -26,7 +26,7 @@ def look(around: Around) -> Sequence[Finding]:
         signed = signed_by(files.certificate, files.ca)
     except (HubConfigError, CertificateError) as err:
         return [fail(str(err), "'midspan keys make' makes the files, and says where they belong; see docs/security.md")]
-    findings = [*_expiry(own), *_expiry(authority), *_mode(files)]
+    findings = [*_expiry(own), *_expiry(authority), *_mode(files), *_distrust(own.name, around)]
     if not signed:
         findings.append(
             fail(
@@ -38,6 +38,19 @@ def look(around: Around) -> Sequence[Finding]:
             warn(f"this machine's certificate names it {own.name!r}: others trust it by that name alone", "see 'name'")
         )
     return findings or [ok(f"this machine is {own.name} to others, until {own.until:%Y-%m-%d}")]
+
+
+def _distrust(name: str, around: Around) -> list[Finding]:
+    """The daemons that take no commands from this machine."""
+    return [
+        warn(
+            f"{document.get('daemon')} takes no commands, goals and service calls from this machine",
+            f"where that is not meant, name {name!r} in hub.open.trusted there",
+        )
+        for document in around.hub.documents
+        for machine in document.get("machines") or ()
+        if machine.get("name") == name and not machine.get("trusted")
+    ]
 
 
 def _expiry(certificate: Certificate) -> list[Finding]:
