@@ -13,7 +13,7 @@ from bridge.cli.console import make_console, print_json
 from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, add_hub_arguments, open_client
 from bridge.cli.routes_table import Document, arrow, route_list, routes_table
-from bridge.cli.text import clean, duration, plural, side_name, size
+from bridge.cli.text import clean, duration, is_number, plural, side_name, size
 from bridge.hub.control import Answer
 
 _STYLES = {"running": "green", "waiting": "yellow", "standby": "cyan"}
@@ -114,20 +114,25 @@ def _figures(document: Document) -> str:
     elif document.get("state") == "waiting":
         parts.append(f"{side_name(document.get('side'))} is away")
     if document.get("listen"):
-        parts.append(f"listens at {clean(document['listen'])}, {plural(int(document.get('sessions', 0)), 'session')}")
+        parts.append(f"listens at {clean(document['listen'])}, {_sessions(document)}")
     routes = route_list(document)
     if routes:
-        rate = sum(r["rate"] for r in routes if isinstance(r.get("rate"), int | float))
+        rate = sum(r["rate"] for r in routes if is_number(r.get("rate")))
         parts.append(f"{plural(len(routes), 'route')}, {rate:.0f} msg/s")
-    if isinstance(document.get("uptime"), int | float):
+    if is_number(document.get("uptime")):
         parts.append(f"up {duration(document['uptime'])}")
-    if isinstance(document.get("cpu"), int | float):
+    if is_number(document.get("cpu")):
         parts.append(f"cpu {document['cpu'] * 100:.0f} %")
     if document.get("rss"):
         parts.append(size(document["rss"]))
     if document.get("pid"):
-        parts.append(f"pid {document['pid']}")
+        parts.append(f"pid {clean(document['pid'])}")
     return ", ".join(parts)
+
+
+def _sessions(document: Document) -> str:
+    count = document.get("sessions")
+    return plural(count if isinstance(count, int) else 0, "session")
 
 
 def _dicts(value: Any) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ SIDES = {
 """What people call each side."""
 
 _LARGEST = 1e15
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def side_name(side: object) -> str:
@@ -29,18 +29,18 @@ def side_name(side: object) -> str:
 
 
 def clean(value: object) -> str:
-    """Text from the network as it may go to a terminal: without control characters, which could redraw it."""
+    """Text from the network as it may go to a terminal: without what could redraw it or cannot be printed."""
     return _CONTROL.sub("?", str(value)).replace("\n", " ").replace("\t", " ")
 
 
-def _is_number(value: object) -> TypeGuard[int | float]:
+def is_number(value: object) -> TypeGuard[int | float]:
     """Whether something from the network is a number that can be shown."""
     return isinstance(value, int | float) and abs(value) < _LARGEST
 
 
 def duration(seconds: object) -> str:
     """``0.12 s``, ``4.5 s``, ``3 min``, ``2 h``, ``5 d``; ``-`` where it is not known."""
-    if not _is_number(seconds):
+    if not is_number(seconds):
         return "-"
     if seconds < 1:
         return f"{seconds:.2f} s"
@@ -54,7 +54,7 @@ def duration(seconds: object) -> str:
 
 def size(count: object) -> str:
     """``340 B``, ``12 kB``, ``1.4 MB``; ``-`` where it is not known."""
-    if not _is_number(count):
+    if not is_number(count):
         return "-"
     value = float(count)
     for unit in ("B", "kB", "MB"):
@@ -66,14 +66,14 @@ def size(count: object) -> str:
 
 def rate(value: object) -> str:
     """Messages a second: ``9.8``, ``340``; ``-`` where none came."""
-    if not _is_number(value) or not value:
+    if not is_number(value) or not value:
         return "-"
     return f"{value:.2g}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
 def milliseconds(value: object) -> str:
     """``0.31``, ``12``; ``-`` where it is not known."""
-    if not _is_number(value):
+    if not is_number(value):
         return "-"
     return f"{value:.2f}" if value < 10 else f"{value:.0f}"
 

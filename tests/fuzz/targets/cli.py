@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 from bridge.cli.errors import CliError
@@ -23,38 +24,43 @@ def _pub() -> Subject:
     seeds = texts(
         "{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}"
     )
-    words = texts("{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "? {a: b}",
-                  "{[a]: b}", "!!timestamp 2001-01-01",
-    "? ", "- ", ".nan", "0o7",
-                  "2001-12-14 21:59:43", "!!binary x", "'", '"', "| ", "~", "\t")  # fmt: skip
+    words = texts(
+        "{", "[", ": ", "&a ", "*a", "<<: ", "!!python/object:a ", "!!set {a}", "? {a: b}", "{[a]: b}", "? ", "- ",
+        ".nan", "!!timestamp 2001-01-01", "0o7", "2001-12-14 21:59:43", "!!binary x", "'", '"', "| ", "~", "\t",
+    )  # fmt: skip
     return Subject(parse, seeds, (CliError, ConversionError), words, largest=512)
 
 
 def _status() -> Subject:
-    """Status documents of workers."""
+    """Status documents of workers, as a terminal shows them."""
     from rich.console import Console
 
-    from bridge.cli.routes_table import routes_table
+    from bridge.cli.status import _document, show
+    from bridge.hub.control import Answer
 
-    console = Console(width=120, quiet=True)
     route = {
         "direction": "in", "topic": "/a", "hub_topic": "/b", "type": "std_msgs/msg/String", "priority": "stream",
-        "state": "active",
-        "messages": 3, "rate": 2.5, "age": 0.1, "latency_ms": {"p50": 0.2, "p99": 3},
+        "state": "active", "messages": 3, "rate": 2.5, "age": 0.1, "latency_ms": {"p50": 0.2, "p99": 3},
         "drops": {"queue": 2}, "error": "x",
+    }  # fmt: skip
+    document = {
+        "side": "ros1", "state": "running", "network": "n", "listen": "tcp/127.0.0.1:1", "sessions": 3, "uptime": 1.5,
+        "cpu": 0.1, "rss": 7, "pid": 9, "error": "", "routes": [route, route], "warnings": ["w"],
+        "refused": [{"direction": "in", "topic": "/t", "type": "a/A", "reason": "r", "cure": "c"}],
+        "machines": [{"name": "m", "address": "a", "trusted": False}],
     }  # fmt: skip
 
     def parse(data: bytes) -> None:
         try:
-            documents = json.loads(data)
+            values = json.loads(data)
         except (ValueError, RecursionError):
             return
-        found = [d for d in documents if isinstance(d, dict)] if isinstance(documents, list) else []
-        console.print(routes_table(found))
+        console = Console(width=120, file=io.StringIO())
+        show(console, [_document(Answer("robot", "ros1", v)) for v in (values if isinstance(values, list) else [])])
+        console.file.getvalue().encode()  # type: ignore[attr-defined]
 
-    seeds = [json.dumps([{"daemon": "robot", "side": "ros1", "routes": [route, route]}]).encode()]
     words = [*JSON_WORDS, *texts('"\\u001b[2J"', '"[red]"', '"routes":', '"drops":', '"error":')]
-    return Subject(parse, seeds, (), words, largest=2048)
+    return Subject(parse, [json.dumps([document]).encode()], (), words, largest=2048)
 
 
 TARGETS = (
