@@ -188,11 +188,16 @@ class Several:
         """Start them in the same moment, and wait until each worker has found its part."""
         for daemon in daemons:
             daemon.start()
-        for daemon in daemons:
-            for side in daemon.sides:
-                until(
-                    lambda d=daemon, s=side: self._settled(d, s), f"{daemon.name}'s {side} has settled", 60, every=0.2
+        try:
+            for daemon, side in [(d, s) for d in daemons for s in d.sides]:
+                until(lambda d=daemon, s=side: self._settled(d, s), f"{daemon.name} {side} settles", 60, every=0.2)
+        except AssertionError:
+            for daemon in daemons:
+                assert daemon.process is not None
+                print(
+                    f"--- {daemon.name}", *map(daemon.status, daemon.sides), daemon.process.output()[-6000:], sep="\n"
                 )
+            raise
 
     @staticmethod
     def _settled(daemon: Daemon, side: str) -> bool:
@@ -212,8 +217,6 @@ class Several:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         for daemon in self.daemons:
-            if kind is not None and daemon.process is not None:
-                print(f"--- {daemon.name}\n{daemon.process.output()[-6000:]}")
             daemon.close()
         for thing in reversed(self._open):
             getattr(thing, "stop", getattr(thing, "close", None))()
@@ -254,14 +257,10 @@ class Flow:
         """Numbers that any sink has heard more than once."""
         return sum(t["received"] - t["distinct"] for t in self.tallies())
 
-    def next_after(self, at: float) -> float:
-        """Seconds from a moment until the first message that every sink has heard since."""
-        tallies = until(lambda: self._all_after(at), "messages go on", 30, every=0.02)
-        return max(t["next"] for t in tallies) - at
-
-    def _all_after(self, at: float) -> list[dict[str, Any]]:
-        tallies = self.tallies(at)
-        return tallies if all(t["next"] is not None for t in tallies) else []
+    def silence(self, since: float, seconds: float) -> float:
+        """The longest time without a message at any sink, in so many seconds from a moment on."""
+        until(lambda: all(t["last"] > since + seconds for t in self.tallies()), "messages go on", 30, every=0.1)
+        return max(float(t["silence"]) for t in self.tallies(since))
 
 
 def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:

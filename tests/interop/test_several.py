@@ -68,7 +68,7 @@ def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joine
     (name,) = set(active(daemons, "ros2"))
     (killed,) = (d for d in daemons if d.name == name)
     at = killed.kill()
-    took = [flow.next_after(at) for flow in made]
+    took = [flow.silence(at, 4.0) for flow in made]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
     late = several.program(networks[1])
@@ -90,7 +90,7 @@ def test_one_that_stood_still_brings_nothing_twice(several: Several) -> None:
     (name,) = set(active(daemons, "ros2"))
     (stopped,) = (d for d in daemons if d.name == name)
     at = stopped.signal(signal.SIGSTOP)
-    took = [flow.next_after(at + 0.5) + 0.5 for flow in made]
+    took = [flow.silence(at, 4.0) for flow in made]
     print(f"taken over after {took}")
     stopped.signal(signal.SIGCONT)
     until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it goes on", 30, every=0.2)

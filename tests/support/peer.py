@@ -7,8 +7,9 @@ One command a line, one answer a line, in order. Commands (``do``):
 ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name: [types]}, publishers {topic: [nodes]},
 subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish so many ``std_msgs/String`` that hold numbers
 from ``first`` on, per second ``rate``, beside other commands; ``counted`` id, now: wait for its end (or end it now) ->
-sent; ``tally`` id, since -> received, distinct numbers, ``next``: ``time.monotonic()`` at the first arrival from
-``since`` on; ``exit``. An answer has ``ok``; when false, ``error``.
+sent; ``tally`` id, since -> received, distinct numbers, ``last``: ``time.monotonic()`` at the last arrival,
+``silence``: the longest time between two arrivals from ``since`` on; ``exit``.
+An answer has ``ok``; when false, ``error``.
 Types are spelled ``package/Name`` on every side.
 """
 

@@ -10,6 +10,7 @@ Usage: ros1_peer.py NODE
 """
 # ruff: noqa: A002, ANN003, ANN204  # parameters are the commands' own words; it runs without Midspan
 
+import itertools
 import json
 import os
 import signal
@@ -167,8 +168,11 @@ class Peer:
     def do_tally(self, id, since=0.0, **_):
         with self.endpoints[id].ready:
             numbers = [int(m.data) for m in self.endpoints[id].messages]
-            later = [t for t in self.endpoints[id].times if t >= since]
-        return {"received": len(numbers), "distinct": len(set(numbers)), "next": later[0] if later else None}
+            times = self.endpoints[id].times
+            later = [since, *(t for t in times if t >= since)]
+        silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
+        last = times[-1] if times else 0.0
+        return {"received": len(numbers), "distinct": len(set(numbers)), "last": last, "silence": silence}
 
     def do_header(self, id, **_):
         return {"headers": self.endpoints[id].headers}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import signal
 import sys
@@ -144,8 +145,11 @@ class Peer:
         endpoint = self.endpoints[params["id"]]
         with endpoint.arrived:
             numbers = [int(m.data) for m in endpoint.messages]
-            later = [t for t in endpoint.times if t >= params.get("since", 0.0)]
-        return {"received": len(numbers), "distinct": len(set(numbers)), "next": later[0] if later else None}
+            since, times = params.get("since", 0.0), endpoint.times
+            later = [since, *(t for t in times if t >= since)]
+        silence = max((after - before for before, after in itertools.pairwise(later)), default=0.0)
+        last = times[-1] if times else 0.0
+        return {"received": len(numbers), "distinct": len(set(numbers)), "last": last, "silence": silence}
 
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         handle = self.endpoints.pop(params["id"]).handle

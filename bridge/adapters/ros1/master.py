@@ -61,6 +61,7 @@ class Master:
         self._failures = 0
         self._answered = time.monotonic()
         self._refused: set[str] = set()
+        self._ended: set[str] = set()
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="midspan-ros1-master", daemon=True)
@@ -128,6 +129,8 @@ class Master:
             if self._stopping.is_set():
                 break
             self._check(batch, self._client.calls(batch))
+        else:
+            self._ended.clear()
         if calls:
             self.looked = time.monotonic()
             look = self._looker.look()
@@ -199,13 +202,17 @@ class Master:
     def _missing(self, look: Look) -> list[Call]:
         """The calls that make the master's state of us what it should be."""
         name, uri = self._node.name, self._node.uri
+        self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
         has_published = {p.topic for p in look.publishers if p.node == name and p.uri == uri}
         has_subscribed = {s.topic for s in look.subscribers if s.node == name and s.uri == uri}
+        # A publication that ended and was made anew between two looks is told as both: a rospy subscriber whose
+        # connection broke comes again only when the master tells of a publisher that it did not have.
+        standing = has_published & published.keys() - self._ended
         calls: list[Call] = [
-            *(("unregisterPublisher", (name, t, uri)) for t in has_published - published.keys()),
+            *(("unregisterPublisher", (name, t, uri)) for t in has_published - standing),
             *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
-            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - has_published),
+            *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
             *self._service_calls(self._client, look, self._node.services()),
         ]

@@ -79,6 +79,8 @@ class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy 
 
     def __init__(self, changed: Changed) -> None:
         self._changed = changed
+        self.removed: set[str] = set()
+        """Topics that we published and do not any more, or not without a break."""
 
     def start(self, _uri: str, _master_uri: str) -> None:
         """Called by rospy once its XML-RPC server listens."""
@@ -96,8 +98,10 @@ class _Notes(registration.RegistrationListener):  # type: ignore[misc]  # rospy 
         """A topic or service was added here."""
         self._changed()
 
-    def reg_removed(self, _name: str, _type_or_uri: str, _kind: str) -> None:
+    def reg_removed(self, name: str, _type_or_uri: str, kind: str) -> None:
         """A topic or service was removed here."""
+        if kind == registration.Registration.PUB:
+            self.removed.add(name)
         self._changed()
 
 
@@ -143,7 +147,8 @@ class Node:
         self._visit = visit
         self.rename(name)
         self._start_server()
-        self._server = XmlRpcNode(0, _Handler(name, master_uri, _Notes(changed), asked_to_stop))
+        self._notes = _Notes(changed)
+        self._server = XmlRpcNode(0, _Handler(name, master_uri, self._notes, asked_to_stop))
         self._server.start()
         self.uri = self._await_uri()
         self._server.server.RequestHandlerClass = _Requests
@@ -167,6 +172,11 @@ class Node:
         topics = registration.get_topic_manager()
         with topics.lock:
             return dict(topics.get_publications())
+
+    def take_removed(self) -> set[str]:
+        """Topics whose publications ended since the last call, those among them that were made anew at once."""
+        removed, self._notes.removed = self._notes.removed, set()
+        return removed
 
     @staticmethod
     def subscriptions() -> dict[str, str]:

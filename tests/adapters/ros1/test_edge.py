@@ -235,6 +235,20 @@ def test_what_a_midspan_published_is_never_taken_up(master, edge, tmp_path):
         assert heard["made_by"] == "midspan"
 
 
+def test_a_publication_made_anew_at_once_is_heard_again(master, edge):
+    with master.peer("anew_listener") as peer:
+        heard = peer.subscribe("/anew", "std_msgs/String")
+        for number in range(8):
+            out = edge.ask("advertise", topic="/anew", type="std_msgs/String")["id"]
+
+            def once(out=out, number=number):
+                edge.ask("send", id=out, payload=string(str(number)))
+                return str(number) in latest(peer.wait(heard, 10_000, 0.05))
+
+            until(once, f"the subscriber hears publication {number}")
+            edge.ask("drop", id=out)
+
+
 def test_names_that_ros2_forbids(master, edge):
     with master.peer("digits") as peer:
         peer.subscribe("/camera/1/image", "std_msgs/String")
