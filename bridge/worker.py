@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+import psutil
 
 from bridge.config.model import Config
 
@@ -20,6 +22,17 @@ class Health:
 
     state: Literal["running", "waiting", "standby"]
     text: str
+
+
+def costs(process: psutil.Process) -> dict[str, Any]:
+    """Processor (share of a core since the last call) and memory (bytes), as they stand in a status document.
+
+    Nothing where no file descriptor is left to read them with: the rest of the document is all the more wanted then.
+    """
+    try:
+        return {"cpu": round(process.cpu_percent() / 100, 4), "rss": process.memory_info().rss}
+    except OSError:
+        return {}
 
 
 class Worker(ABC):

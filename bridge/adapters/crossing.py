@@ -19,7 +19,7 @@ from bridge.messages.registry import Registry
 from bridge.routing import room
 from bridge.routing.diagnostics import Diagnostics
 from bridge.routing.engine import Engine
-from bridge.worker import Health
+from bridge.worker import Health, costs
 
 _log = logging.getLogger(__name__)
 
@@ -116,17 +116,10 @@ class Crossing:
             "zid": hub.zid,
             "state": engine.summary().state,
             "uptime": round(time.monotonic() - self._started, 1),
-            **self._costs(),
+            **costs(self._process),
             **document,
             "warnings": [*document["warnings"], *room.warnings(state_folder(self._config))],
         }
-
-    def _costs(self) -> dict[str, Any]:
-        """Processor and memory; nothing where no descriptor is left to read them with."""
-        try:
-            return {"cpu": round(self._process.cpu_percent() / 100, 4), "rss": self._process.memory_info().rss}
-        except OSError:
-            return {}
 
     def _explain(self, params: dict[str, Any]) -> list[dict[str, Any]]:
         return self._running().explain(str(params.get("topic", "")))

@@ -19,9 +19,13 @@ from types import FrameType
 from bridge.config.model import Config
 from bridge.daemon import log
 from bridge.daemon.protocol import BEAT_INTERVAL, Beat, Command, Failed, NewConfig, Reloaded, Report, Restart, Stop
+from bridge.routing import room
 from bridge.worker import Worker
 
 logger = logging.getLogger("midspan.worker")
+
+_LOOK_EACH = 4
+"""Heartbeats between looks at what the process has left."""
 
 LAST_SECONDS = 4.0
 """A worker whose daemon is gone and whose stop hangs is ended after this."""
@@ -71,6 +75,7 @@ class Child:
         self._config = Config()
         self._beats = 0
         self._answering = True
+        self._short = False
 
     def run(self, config: Config) -> Outcome:
         """Run until stopped. Whatever the worker raises but `RuntimeError` from its start goes through."""
@@ -112,7 +117,16 @@ class Child:
             return
         self._answering = True
         self._beats += 1
+        if self._beats % _LOOK_EACH == 0:
+            self._look_at_descriptors()
         self._report(Beat(self._beats, health))
+
+    def _look_at_descriptors(self) -> None:
+        """Log when they run short, and when they no longer do; also for a router that nobody can ask then."""
+        short = room.descriptors()
+        if bool(short) != self._short:
+            self._short = bool(short)
+            logger.warning("%s", short or "there are file descriptors again")
 
     def _obey(self, command: Command | Hangup) -> Outcome | None:
         match command:

@@ -26,7 +26,7 @@ from bridge.hub.door import Door, check_closed
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.liveliness import MIDSPAN_SPACE
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
-from bridge.worker import Health, Worker
+from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
@@ -248,8 +248,7 @@ class RouterWorker(Worker):
             "network": None,
             "state": "running",
             "uptime": time.monotonic() - self._started,
-            "cpu": self._process.cpu_percent() / 100,
-            "rss": self._process.memory_info().rss,
+            **costs(self._process),
             "listen": config.hub.listen,
             "sessions": len(session.info.transports()),
             "machines": [asdict(machine) for machine in self._door.machines()] if self._door else [],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -211,6 +212,8 @@ def test_an_unwritable_state_folder_at_the_start(deployment: Deployment, tmp_pat
 
 
 def test_no_descriptors_left(running: Deployment) -> None:
+    assert running.daemon is not None
+    daemon = running.daemon
     flow = Flow(running)
     before = pids(running)
     ros1, ros2 = running.ros1(), running.ros2()
@@ -226,6 +229,7 @@ def test_no_descriptors_left(running: Deployment) -> None:
         flow.check()
         said = running.command("status").stdout
         assert NO_DESCRIPTORS in said
+        until(lambda s=side: re.search(f"{s}: .*{NO_DESCRIPTORS}", daemon.output()), "the log tells it, too", 20)
         if side == "ros1":  # one socket for each publisher that is heard
             assert "no file descriptor left" in said or "Too many open files" in said
         doctor = running.command("doctor", "--only", "descriptors")
@@ -241,3 +245,21 @@ def test_no_descriptors_left(running: Deployment) -> None:
         until(all_cross, f"what was refused on {side} crosses", 40)
         flow.check()
     assert pids(running) == before
+
+
+def test_a_router_without_descriptors(running: Deployment) -> None:
+    """Nobody can join; who has joined goes on, the log says why, and it recovers."""
+    assert running.daemon is not None
+    daemon = running.daemon
+    flow = Flow(running)
+    pid = int(running.worker("router")["pid"])
+    limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    used = len(list(Path(f"/proc/{pid}/fd").iterdir()))
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (used, limits[1]))
+    until(lambda: re.search(f"router: .*{NO_DESCRIPTORS}", daemon.output()), "the log tells it", 20)
+    assert running.command("status").returncode == 1
+    flow.check()
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, limits)
+    until(lambda: running.command("status").returncode == 0, "others can join again", 30)
+    flow.check()
+    assert running.worker("router")["pid"] == pid
