@@ -51,7 +51,9 @@ class WorkerKind:
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """What the configuration says."""
+        """What the configuration says; without a dialect there is no zenoh side to speak of."""
+        if self.name == "zenoh" and not config.zenoh.dialects:
+            return False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
     def missing(self, config: Config) -> str:
