@@ -138,20 +138,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     logging.basicConfig(level=logging.WARNING)
     count, samples = 2 * (args.topics // 2), Samples()
     rows: list[Row] = []
+    quiet: dict[str, list[float]] = defaultdict(list)
     for condition in ("alone", "beside", "alone") if "fast" in args.parts else ("beside",):
         with Crowd(count // 2 if condition == "beside" else 0, realtime=args.realtime) as crowd:
             if "idle" in args.parts:
                 idle = crowd.idle(args.seconds)
                 say(text(f"{condition}, nothing sent", idle))
-                if condition == "beside":
-                    rows.append(
-                        Row(f"{count} idle, CPU of the daemon, to the limit", total(idle, DAEMON), IDLE_CPU, "%")
-                    )
+                quiet[condition].append(total(idle, DAEMON))
             if "fast" in args.parts:
                 samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
             if condition == "beside" and "busy" in args.parts:
                 rows += _busy(crowd, count, args.rate, args.seconds)
-    report(rows + samples.rows(count), args.json)
+    report(_idle(quiet, count) + rows + samples.rows(count), args.json)
+
+
+def _idle(quiet: defaultdict[str, list[float]], count: int) -> list[Row]:
+    """Rows of the daemon's processor time while nothing is sent, taken beside the idle routes and alone."""
+    rows = [Row(f"{count} idle, CPU of the daemon, to the limit", took, IDLE_CPU, "%") for took in quiet["beside"]]
+    if quiet["alone"]:
+        added = quiet["beside"][0] - statistics.median(quiet["alone"])
+        rows.append(Row(f"{count} idle, CPU beyond that without routes, to the limit", added, IDLE_CPU, "%"))
+    return rows
 
 
 def _busy(crowd: Crowd, count: int, rate: float, seconds: float) -> list[Row]:

@@ -1,0 +1,37 @@
+"""The benchmarks run, and print and write the rows that they promise; their figures mean nothing here."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import flood, many_topics, transcode
+
+
+def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    many_topics.main(["--topics", "4", "--rate", "20", "--seconds", "1", "--parts", "busy", "--json", str(file)])
+    rows = {row["case"]: row for row in json.loads(file.read_text())}
+    for way in ("ROS 1 to ROS 2", "ROS 2 to ROS 1"):
+        arrived = rows[f"4 at 20 Hz, {way}, arrived of sent"]
+        assert arrived["ours"] == arrived["peer"] == 40
+        assert rows[f"4 at 20 Hz, {way}, p99, to the limit"]["ours"] > 0
+    assert rows["4 at 20 Hz, CPU of both workers, to the limit"]["ours"] > 0
+
+
+def test_flood_measures_with_and_without_the_stream(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    flood.main(["--way", "ros1", "--turns", "1", "--seconds", "0.5", "--json", str(file)])
+    rows = {row["case"]: row for row in json.loads(file.read_text())}
+    assert rows["/tf beside 100 MB/s, ROS 1 to ROS 2, p99, to without"]["peer"] > 0
+    assert rows["the stream, ROS 1 to ROS 2, arrived of sent"]["ours"] > 0
+
+
+@pytest.mark.parametrize("case", ["TFMessage of 20", "Image 1 MB"])
+def test_transcode_compares_both_ways(case: str) -> None:
+    name, values = transcode.CASES[case]
+    rows = transcode.measure_case(case, name, values, rounds=1)
+    assert {row.case.split(", ")[1] for row in rows} >= {"ROS 1 to CDR", "CDR to ROS 1"}
+    assert len(rows) == (4 if case == "Image 1 MB" else 2)
