@@ -28,7 +28,7 @@ LATCHED_KINDS = ("string", "scan", "grid")
 FRESH, KEPT = 50, 10
 """Publishers of a batch: on topics of names that never come again, and on the same ones in each batch."""
 FED, STREAMED = 30, 10
-"""Subscriptions of a batch: to latched topics of the other sides, and to their streams."""
+"""Subscriptions of a batch: to latched topics of another side, and to its streams."""
 BATCH = FRESH + KEPT + FED + STREAMED
 WARM = 3
 """Batches before what the processes hold counts."""
@@ -59,7 +59,7 @@ class Churned:
 
 
 class Churn:
-    """Makes and destroys endpoints of one side, while its feeder goes on sending."""
+    """Makes and destroys endpoints of one side, while its feeder goes on sending. Both sides' programs run already."""
 
     def __init__(self, deployment: Deployment, side: str) -> None:
         self._deployment, self._side = deployment, side

@@ -41,6 +41,7 @@ class Heard:
         repeated: how many came twice.
         p50: median latency in milliseconds.
         p99: the latency that one in a hundred exceeds.
+        latest: the highest latency.
     """
 
     sent: int
@@ -48,11 +49,12 @@ class Heard:
     repeated: int
     p50: float
     p99: float
+    latest: float
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """One side's result: the topics before the slow subscriber came and beside it, and the daemon's memory in MB.
+    """One side's result.
 
     Attributes:
         side: where the subscribers are.
@@ -60,7 +62,7 @@ class Slow:
         beside: by topic, with it.
         read: messages that the slow subscriber read.
         drops: what the routes counted beside it, by reason.
-        memory_before: of each process at its highest.
+        memory_before: highest memory of each process in MB.
         memory_beside: the same beside the slow subscriber.
     """
 
@@ -73,76 +75,113 @@ class Slow:
     memory_beside: dict[str, float]
 
 
-def measure(deployment: Deployment, side: str, rate: float, seconds: float) -> Slow:
-    """Measure one side. Its program and its source's run already; the slow one is started.
+def measure(
+    deployment: Deployment, sides: Sequence[str], rate: float, seconds: float, alone: float | None = None
+) -> list[Slow]:
+    """Measure some sides at once. Their programs and their sources' run already; the slow ones are started.
 
     Args:
         deployment: the daemon.
-        side: where the subscribers are.
-        rate: images of 1 MB a second.
-        seconds: with and without the slow one, each.
+        sides: where the subscribers are.
+        rate: images of 1 MB a second on each side.
+        seconds: how long beside the slow ones.
+        alone: how long without them before; the same by default.
     """
-    source, names = SOURCE[side], {topic: f"{topic}_{side}" for topic in (BIG, SMALL)}
-    kinds = {names[BIG]: "image1", names[SMALL]: "string"}
-    deployment.ask(source, "publish", topics=[deployment.topic(source, name, kind) for name, kind in kinds.items()])
-    deployment.ask(side, "subscribe", topics=[deployment.topic(side, name, kind) for name, kind in kinds.items()])
-
-    def crosses() -> bool:
-        deployment.ask(source, "put", topics=list(kinds))
-        heard = deployment.ask(side, "report")["heard"]
-        return all(heard[name]["count"] for name in kinds)
-
-    deployment.until(crosses, f"the streams cross to {side}")
-    rates = {names[BIG]: rate, names[SMALL]: SMALL_RATE}
-    before, memory_before = _watch(deployment, side, source, rates, seconds)
-    slow = deployment.program(side, f"{side} slow")
-    deployment.ask(slow, "subscribe", topics=[deployment.topic(side, names[BIG], "image1")], pause=PAUSE)
+    streams = [Stream(deployment, side, rate) for side in sides]
+    for stream in streams:
+        stream.open()
+    before, memory_before = _watch(deployment, streams, seconds if alone is None else alone)
+    for stream in streams:
+        stream.slow_down()
     drops = _drops(deployment)
-    beside, memory_beside = _watch(deployment, side, source, rates, seconds)
-    read = deployment.ask(slow, "report")["heard"][names[BIG]]["count"]
-    more = {reason: count - drops.get(reason, 0) for reason, count in _drops(deployment).items()}
-    topics = {name: topic for topic, name in names.items()}
-    return Slow(
-        side,
-        {topics[n]: h for n, h in before.items()},
-        {topics[n]: h for n, h in beside.items()},
-        read,
-        {reason: count for reason, count in more.items() if count},
-        memory_before,
-        memory_beside,
-    )
+    beside, memory_beside = _watch(deployment, streams, seconds)
+    found = []
+    for stream in streams:
+        side = stream.side
+        read = deployment.ask(f"{side} slow", "report")["heard"][stream.names[BIG]]["count"]
+        more = {r: n - drops.get((side, r), 0) for (s, r), n in _drops(deployment).items() if s == side}
+        dropped = {reason: count for reason, count in more.items() if count}
+        found.append(Slow(side, before[side], beside[side], read, dropped, memory_before, memory_beside))
+    return found
+
+
+class Stream:
+    """The large and the small topic of one side's subscribers."""
+
+    def __init__(self, deployment: Deployment, side: str, rate: float) -> None:
+        self.side, self.source = side, SOURCE[side]
+        self.names = {topic: f"{topic}_{side}" for topic in (BIG, SMALL)}
+        self.rates = {self.names[BIG]: rate, self.names[SMALL]: SMALL_RATE}
+        self._deployment = deployment
+
+    def open(self) -> None:
+        """Make the publishers and the subscriptions of the program that does not pause; returns when both cross."""
+        deployment, kinds = self._deployment, {self.names[BIG]: "image1", self.names[SMALL]: "string"}
+        for side, do in ((self.source, "publish"), (self.side, "subscribe")):
+            deployment.ask(side, do, topics=[deployment.topic(side, name, kind) for name, kind in kinds.items()])
+
+        def crosses() -> bool:
+            deployment.ask(self.source, "put", topics=list(kinds))
+            return all(ear["count"] for ear in self.heard().values())
+
+        deployment.until(crosses, f"the streams cross to {self.side}")
+
+    def slow_down(self) -> None:
+        """Start the slow subscriber."""
+        slow = self._deployment.program(self.side, f"{self.side} slow")
+        topic = self._deployment.topic(self.side, self.names[BIG], "image1")
+        self._deployment.ask(slow, "subscribe", topics=[topic], pause=PAUSE)
+
+    def heard(self) -> dict[str, dict[str, Any]]:
+        """What the program that does not pause heard, by topic."""
+        report = self._deployment.ask(self.side, "report")["heard"]
+        return {topic: report[name] for topic, name in self.names.items()}
 
 
 def _watch(
-    deployment: Deployment, side: str, source: str, rates: dict[str, float], seconds: float
-) -> tuple[dict[str, Heard], dict[str, float]]:
-    """Send for so long; what was heard, and each process's highest memory in MB."""
-    told, start = deployment.ask(side, "report")["heard"], deployment.ask(source, "still")["sent"]
+    deployment: Deployment, streams: Sequence[Stream], seconds: float
+) -> tuple[dict[str, dict[str, Heard]], dict[str, float]]:
+    """Send for so long; what was heard on each side, and each process's highest memory in MB."""
+    rates: dict[str, dict[str, float]] = {}
+    for stream in streams:
+        rates.setdefault(stream.source, {}).update(stream.rates)
+    start = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
+    told = {stream.side: stream.heard() for stream in streams}
     memory: dict[str, float] = {}
-    deployment.ask(source, "flow", rates=rates)
+    for source, topics in rates.items():
+        deployment.ask(source, "flow", rates=topics)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         for name, usage in deployment.usage().items():
             memory[name] = max(memory.get(name, 0.0), usage.rss)
         time.sleep(0.1)
-    sent = deployment.ask(source, "still")["sent"]
+    sent = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
     time.sleep(DRAIN_SECONDS)
-    heard = deployment.ask(side, "report")["heard"]
-    return {name: _heard(sent[name], start[name], told[name], heard[name]) for name in rates}, memory
+    found = {}
+    for stream in streams:
+        heard = stream.heard()
+        found[stream.side] = {
+            topic: _heard(sent[name], start[name], told[stream.side][topic], heard[topic])
+            for topic, name in stream.names.items()
+        }
+    return found, memory
 
 
 def _heard(sent: int, start: int, told: dict[str, Any], heard: dict[str, Any]) -> Heard:
     lost = heard["lost"] - told["lost"] + behind(sent, heard["last"]) - behind(start, told["last"])
     repeated = heard["repeated"] - told["repeated"]
-    return Heard(sent - start, lost, repeated, heard["ages"]["p50"], heard["ages"]["p99"])
+    ages = heard["ages"]
+    return Heard(sent - start, lost, repeated, ages["p50"], ages["p99"], ages["max"])
 
 
-def _drops(deployment: Deployment) -> dict[str, int]:
-    drops: dict[str, int] = {}
+def _drops(deployment: Deployment) -> dict[tuple[str, str], int]:
+    """What the routes of each side's large topic have dropped so far, by side and reason."""
+    drops: dict[tuple[str, str], int] = {}
     for worker in deployment.status().values():
         for route in worker["routes"]:
-            for reason, count in route["drops"].items():
-                drops[reason] = drops.get(reason, 0) + count
+            topic, _, side = route["topic"].rpartition("_")
+            for reason, count in route["drops"].items() if topic == BIG else ():
+                drops[side, reason] = drops.get((side, reason), 0) + count
     return drops
 
 
@@ -154,6 +193,7 @@ def rows(slow: Slow) -> list[Row]:
         made.append(Row(f"{case}, lost of {beside.sent}", beside.lost, before.lost, "count"))
         made.append(Row(f"{case}, p50", beside.p50, before.p50, "ms"))
         made.append(Row(f"{case}, p99", beside.p99, before.p99, "ms"))
+        made.append(Row(f"{case}, latest", beside.latest, before.latest, "ms"))
     for name, most in slow.memory_beside.items():
         made.append(Row(f"slow on {slow.side}, most memory of {name}", most, slow.memory_before[name], "MB"))
     return made
@@ -170,9 +210,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found: list[Row] = []
     for side in args.sides:
         with Deployment() as deployment:
-            for program in (side, SOURCE[side]):
+            for program in {side, SOURCE[side]}:
                 deployment.program(program)
-            slow = measure(deployment, side, args.rate, args.seconds)
+            (slow,) = measure(deployment, [side], args.rate, args.seconds)
         print(f"slow on {side}: it read {slow.read} messages; dropped: {slow.drops}", file=sys.stderr, flush=True)
         found += rows(slow)
     report(found, args.json)

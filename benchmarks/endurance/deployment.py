@@ -91,8 +91,12 @@ class Deployment(Stage):
         return Census(self.usage(), self.routes("/"), tokens, self._registrations())
 
     def usage(self) -> dict[str, Usage]:
-        """Memory, threads and descriptors of the daemon's processes now."""
-        return Meter({name: self.pids[name] for name in DAEMON}).read()
+        """Memory, threads and descriptors of the daemon's processes now; raises where one of them has ended."""
+        try:
+            return Meter({name: self.pids[name] for name in DAEMON}).read()
+        except FileNotFoundError as err:
+            msg = f"a process of the daemon has ended ({err.filename}); they were {self.pids}\n{self.words()}"
+            raise RuntimeError(msg) from err
 
     def _registrations(self) -> int:
         with xmlrpc.client.ServerProxy(self.place.master) as master:

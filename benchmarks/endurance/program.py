@@ -20,6 +20,9 @@ from typing import Any, Protocol
 from benchmarks.endurance.ear import Ear, ticket
 from benchmarks.latency.stamps import Stamped
 
+DEPTH = 200
+"""History of the programs' endpoints, so that what is lost is not lost in a program that had no turn for a second."""
+
 Heard = Callable[[bytes], None]
 Close = Callable[[], None]
 
@@ -38,10 +41,10 @@ class Program(ABC):
     """Endpoints of one middleware."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._out: dict[str, Source] = {}
         self._in: dict[str, tuple[Ear, Close]] = {}
         self._flow = Flow()
+        self._rates: dict[str, float] = {}
 
     @abstractmethod
     def publisher(self, topic: str, type_: str, *, latched: bool) -> Publisher:
@@ -111,13 +114,16 @@ class Program(ABC):
         return {}
 
     def _start_flow(self, rates: dict[str, float]) -> dict[str, Any]:
-        """Send on these topics, so many messages a second each, until told otherwise."""
-        self._flow.start({topic: (self._out[topic].send, rate) for topic, rate in rates.items()})
+        """Send on these topics too, so many messages a second each, until told otherwise."""
+        self._flow.stop()
+        self._rates |= rates
+        self._flow.start({topic: (self._out[topic].send, rate) for topic, rate in self._rates.items()})
         return {}
 
     def _still(self) -> dict[str, Any]:
         """Send no more by itself; how many messages were sent on each topic."""
         self._flow.stop()
+        self._rates.clear()
         return {"sent": {topic: source.sent for topic, source in self._out.items()}}
 
     def _report(self) -> dict[str, Any]:
@@ -157,7 +163,6 @@ class Flow:
 
     def start(self, sends: dict[str, tuple[Callable[[], None], float]]) -> None:
         """Send by these calls, so often a second each, evenly spread."""
-        self.stop()
         now = time.monotonic()
         self._due = [(now + i / len(sends) / rate, i, 1 / rate, send) for i, (send, rate) in enumerate(sends.values())]
         heapq.heapify(self._due)

@@ -15,8 +15,8 @@ from typing import Any
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from benchmarks.endurance.program import Close, Heard, Program
-from benchmarks.latency.ros2_end import DEPTH, message_class
+from benchmarks.endurance.program import DEPTH, Close, Heard, Program
+from benchmarks.latency.ros2_end import message_class
 
 _set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback
 _set_callback.argtypes = [ctypes.c_void_p] * 3

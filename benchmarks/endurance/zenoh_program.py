@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-from benchmarks.endurance.program import Close, Heard, Program
-from benchmarks.latency.ros2_end import DEPTH
+from benchmarks.endurance.program import DEPTH, Close, Heard, Program
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
