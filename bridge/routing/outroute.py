@@ -66,6 +66,8 @@ class OutRoute(Route):
         self._dispatcher = joint.small
         self._sources: dict[bytes, _Source] = {}
         self._refused: frozenset[bytes] = frozenset()
+        self._waiting: dict[bytes, HubEndpoint] = {}
+        self._kept: dict[bytes, deque[HubSample]] = {}
         self._natives: dict[str, _Source] = {}
         self._queue: deque[HubSample] = deque()
         self._queued_bytes = 0
@@ -82,8 +84,14 @@ class OutRoute(Route):
         self._depth = 1
         self._since_ns = 0
 
-    def update(self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint]) -> None:
-        """Follow the hub's publishers of this topic; called by the engine's loop alone."""
+    def update(
+        self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint] = ()
+    ) -> None:
+        """Follow the hub's publishers of this topic; called by the engine's loop alone.
+
+        ``waiting``: those that may pass later, once it is known who made them or agreed who carries them. What the
+        latched ones say meanwhile comes only once, and is kept for then.
+        """
         current = {e.gid: e for e in allowed}
         for gone in [g for g in self._sources if g not in current]:
             source = self._sources.pop(gone)
@@ -93,11 +101,13 @@ class OutRoute(Route):
             if gid not in self._sources:
                 self._sources[gid] = _Source(endpoint, self._is_latched(endpoint), AgeGate())
         self._refused = frozenset(e.gid for e in refused)
+        self._waiting = {e.gid: e for e in waiting}
         # Some participants (zenoh-ros2-sdk) put a GID of their own making in their samples.
         self._natives = {s.endpoint.zid: s for s in self._sources.values() if s.endpoint.origin is None}
         self._advertise()
         if allowed:
             self._subscribe(joint_qos([e.qos for e in allowed]))
+        self._release_kept()
         self._retry_pending()
 
     def _is_latched(self, endpoint: HubEndpoint) -> bool:
@@ -183,14 +193,18 @@ class OutRoute(Route):
 
     def _source_of(self, sample: HubSample) -> _Source | None:
         known = self._sources.get(sample.gid)
-        if known is not None or sample.gid in self._refused:
+        if known is not None or sample.gid in self._refused or sample.gid in self._waiting:
             return known
         return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
 
     def _handle(self, sample: HubSample) -> None:
         source = self._source_of(sample)
+        waiting = self._waiting.get(sample.gid)
         if source is not None:
             self._publish(sample, source)
+        elif waiting is not None:
+            if self._is_latched(waiting):
+                self._keep(sample, waiting)
         elif sample.gid not in self._refused:
             if self._priority is Priority.COMMAND:  # never kept for later
                 self.counters.dropped("unknown")
@@ -198,14 +212,33 @@ class OutRoute(Route):
                 self._pending.append((time.monotonic(), sample))
             self._joint.wake()
 
+    def _keep(self, sample: HubSample, endpoint: HubEndpoint) -> None:
+        if sample.gid in self._kept or len(self._kept) < MAX_PENDING:
+            depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
+            self._kept.setdefault(sample.gid, deque(maxlen=depth)).append(sample)
+
+    def _release_kept(self) -> None:
+        if self._joint.lease.over:
+            return
+        for gid in [g for g in self._kept if g not in self._waiting]:
+            source, samples = self._sources.get(gid), self._kept.pop(gid)
+            if source is not None:
+                with self._publishing:
+                    for sample in samples:
+                        self._publish(sample, source)
+
     def _retry_pending(self) -> None:
         now = time.monotonic()
         for _ in range(len(self._pending)):
             since, sample = self._pending.popleft()
             source = self._source_of(sample)
+            waiting = self._waiting.get(sample.gid)
             if source is not None:
                 with self._publishing:
                     self._publish(sample, source)
+            elif waiting is not None:
+                if self._is_latched(waiting):
+                    self._keep(sample, waiting)
             elif sample.gid not in self._refused and now - since < 2.0:
                 self._pending.append((since, sample))
             elif sample.gid not in self._refused:
@@ -213,7 +246,10 @@ class OutRoute(Route):
 
     def _publish(self, sample: HubSample, source: _Source) -> None:
         if self._joint.lease.over:
-            self.counters.dropped("standby")
+            if source.latched:
+                self._keep(sample, source.endpoint)
+            else:
+                self.counters.dropped("standby")
             return
         timeout = self.decision.timeout
         if self._priority is Priority.COMMAND and (

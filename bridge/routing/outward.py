@@ -106,8 +106,9 @@ class Outward:
         for side_topic, (decision, allowed) in by_name.items():
             verdict = Verdict("out", side_topic, key.topic, key.type_name, decision)
             verdicts.append(verdict)
-            others = refused + [e for e in endpoints if e not in allowed and e not in refused]
-            self._keep(key, side_topic, decision, (allowed, others), live, verdict)
+            waiting = [e for e in endpoints if e.pending or e in elsewhere]
+            others = [e for e in endpoints if e not in allowed and e not in waiting]
+            self._keep(key, side_topic, decision, (allowed, others, waiting), live, verdict)
         if not by_name and refused and all(not may_leave(e, self._joint.edge) for e in refused):
             verdicts.append(Verdict.own_network("out", key.topic, key.type_name))
 
@@ -116,7 +117,7 @@ class Outward:
         key: RouteKey,
         side_topic: str,
         decision: Decision,
-        endpoints: tuple[list[HubEndpoint], list[HubEndpoint]],
+        endpoints: tuple[list[HubEndpoint], list[HubEndpoint], list[HubEndpoint]],
         live: set[tuple[RouteKey, str]],
         verdict: Verdict,
     ) -> None:
