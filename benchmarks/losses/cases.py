@@ -85,9 +85,11 @@ def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
     field.say_state(*ANCHORS)
     field.start_programs(name)
     outcome = watch.until_steady(time.monotonic())
+    if not forget:
+        field.stop(name)
+        return outcome
     field.kill(name)
-    if forget:
-        watch.check_state(outcome, FORGET_SECONDS)
+    watch.check_state(outcome, FORGET_SECONDS)
     return outcome
 
 

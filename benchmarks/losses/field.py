@@ -190,7 +190,7 @@ class Field:
     def kill_daemon(self) -> None:
         """SIGKILL the daemon alone."""
         os.kill(int(self.document()["pid"]), signal.SIGKILL)
-        self._children.pop("daemon").finish_stop(5.0)
+        self.stop("daemon")
 
     def _joined(self) -> bool:
         running = {w["worker"] for w in self.document()["workers"] if w["phase"] == "running"}
@@ -201,12 +201,17 @@ class Field:
     def kill(self, *names: str) -> None:
         """SIGKILL roscore or programs, with all that they started."""
         for name in names:
-            child = self._children.pop(name)
-            self.states.pop(name, None)
-            for process in _tree(child.pid):
+            for process in _tree(self._children[name].pid):
                 with contextlib.suppress(psutil.Error):
                     process.kill()
-            child.finish_stop(5.0)
+            self.stop(name)
+
+    def stop(self, name: str) -> None:
+        """Have a program leave in good order."""
+        self.states.pop(name, None)
+        child = self._children.pop(name)
+        child.begin_stop()
+        child.finish_stop(5.0)
 
     def shared_memory(self) -> tuple[int, int]:
         """Files in shared memory that a process of this run uses or used: how many are there, and their bytes."""
