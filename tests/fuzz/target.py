@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 Parse = Callable[[bytes], object]
 
@@ -34,6 +38,13 @@ class Target:
     name: str
     share: int
     make: Callable[[], Subject]
+
+
+def scratch() -> Path:
+    """A folder for a parser of files, which goes with the process."""
+    folder = tempfile.mkdtemp(prefix="midspan-fuzz-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def texts(*lines: str) -> list[bytes]:

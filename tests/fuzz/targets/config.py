@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 
 from bridge.config.problems import ConfigError
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import Subject, Target, scratch, texts
 
 _SEEDS = texts(
     "name: robot\nhub: {domain: 3, listen: tcp/127.0.0.1:7447, zenoh: {mode: peer}}\n"
@@ -48,7 +46,7 @@ def _file() -> Subject:
     """A whole file as bytes."""
     from bridge.config.load import load
 
-    file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "midspan.yaml"
+    file = scratch() / "midspan.yaml"
 
     def parse(data: bytes) -> None:
         file.write_bytes(data)
@@ -64,7 +62,7 @@ def _peers(bridge: str) -> Callable[[], Subject]:
         from bridge.config.importers import domain_bridge, ros1_bridge
         from bridge.config.load import loads
 
-        file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "peer.yaml"
+        file = scratch() / "peer.yaml"
 
         def parse(data: bytes) -> None:
             file.write_bytes(data)

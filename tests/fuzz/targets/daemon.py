@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import tempfile
-from pathlib import Path
 
 from bridge.daemon.protocol import ProtocolError
-from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, scratch, texts
 
 _WORDS = [*JSON_WORDS, *texts('"config":', '"stop":', '"beat":', '"state":', '"log":', "[3,")]
 
@@ -63,7 +61,7 @@ def _lock() -> Subject:
     """The text in a lock's file."""
     from bridge.daemon.lock import Lock
 
-    path = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "lock"
+    path = scratch() / "lock"
     lock = Lock(path)
 
     def parse(data: bytes) -> None:

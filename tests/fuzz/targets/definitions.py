@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 from bridge.messages.errors import ConversionError, MessageTypeError
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import Subject, Target, scratch, texts
 
 _LINE = "=" * 80
 _WORDS = texts(
@@ -104,7 +101,7 @@ def _service_file() -> Subject:
     """``.srv`` and ``.action`` files; the first byte chooses which, and which part of it."""
     from bridge.messages.parts import find_part
 
-    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    folder = scratch()
     names = ["a_msgs/srv/A_Request", "a_msgs/srv/A_Response", "a_msgs/srv/A_Event", "a_msgs/action/A_Goal",
              "a_msgs/action/A_FeedbackMessage", "a_msgs/action/A_GetResult_Response"]  # fmt: skip
 
@@ -143,7 +140,7 @@ def _mapping_rules() -> Subject:
     """ros1_bridge's files of mapping rules."""
     from bridge.messages.rules import Rules
 
-    file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "rules.yaml"
+    file = scratch() / "rules.yaml"
 
     def parse(data: bytes) -> None:
         file.write_bytes(data)

@@ -7,15 +7,13 @@ import json
 import math
 import socket
 import struct
-import tempfile
 import xmlrpc.client
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ProtocolError, Ros1Error
-from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
+from tests.fuzz.target import JSON_WORDS, Subject, Target, scratch, texts
 
 _FIELDS = {
     "callerid": "/talker", "topic": "/chatter", "type": "std_msgs/String", "md5sum": "992ce8a1687cec8c8bd883ec73ca41d1",
@@ -260,7 +258,7 @@ def _ledger() -> Subject:
     """The state folder's file of this daemon's ROS 1 nodes."""
     from bridge.adapters.ros1.presence import Ledger, Presence
 
-    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    folder = scratch()
     last = Presence("x", "d", "/midspan", "http://h:1/", 7)
 
     def parse(data: bytes) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
-from tests.fuzz.target import Subject, Target, texts
+from tests.fuzz.target import Subject, Target, scratch, texts
 
 
 def _prefixes() -> Subject:
     """The state folder's file of past participants."""
     from bridge.adapters.ros2.origins import _remember
 
-    file = Path(tempfile.mkdtemp(prefix="midspan-fuzz-")) / "prefixes"
+    file = scratch() / "prefixes"
     own = bytes(range(12))
 
     def parse(data: bytes) -> None:
@@ -31,7 +28,7 @@ def _network() -> Subject:
     from bridge.adapters.ros2.mark import is_marked
     from bridge.adapters.ros2.origins import Origins
 
-    folder = Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
+    folder = scratch()
     own = bytes(range(12))
     origins = Origins(own, folder, frozenset, lambda: None)
     # Past its moment at once, without a timer for each.

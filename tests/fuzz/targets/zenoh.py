@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import threading
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -93,7 +93,7 @@ def _ros1_beacons() -> Subject:
     """Such beacons, one a line, and then silence: nothing is left of them."""
     import zenoh
 
-    from bridge.adapters.zenoh.ros1_aloha import Aloha
+    from bridge.adapters.zenoh.ros1_aloha import _LOST, PERIOD, Aloha
 
     put = zenoh.SampleKind.PUT
 
@@ -102,7 +102,9 @@ def _ros1_beacons() -> Subject:
         for line in data.decode(errors="replace").split("\n"):
             aloha._on_beacon(SimpleNamespace(key_expr=line, kind=put, source_info=None, timestamp=None))  # type: ignore[arg-type]
         assert len(aloha.topics()) <= data.count(b"\n") + 1
-        aloha.tick(threading.TIMEOUT_MAX)
+        now = time.monotonic()
+        for step in range(2 * _LOST + 2):  # in steps: while the process stands still nobody counts as silent
+            aloha.tick(now + step * PERIOD)
         assert aloha.topics() == []
 
     return Subject(parse, texts(f"{_BEACON}\n{_BEACON.replace('/pub/', '/sub/')}"), (), [*_BEACON_WORDS, b"\n"])
