@@ -41,8 +41,7 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
         field.master("setParam", "/use_sim_time", True)
         field.ask("ros1", "clock", "ticking", start=1000.0)
         field.clock = True
-    elif not simulated:
-        field.master("setParam", "/robot/name", "r1")
+    field.master("setParam", "/robot/name", "r1")
     watch = _settled(field)
     field.kill("roscore")
     time.sleep(PAUSE)
@@ -50,7 +49,9 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
     time.sleep(1.0)
     field.kill("ros1", JOINER)
     field.start_master()
-    field.master("setParam", "/use_sim_time" if simulated else "/robot/name", True if simulated else "r2")
+    field.master("setParam", "/robot/name", "r2")
+    if field.clock:
+        field.master("setParam", "/use_sim_time", True)
     field.start_programs("ros1", JOINER)
     if simulated:  # a simulation that starts again begins at zero: time goes back
         field.ask("ros1", "clock", "ticking", start=0.0)
@@ -59,7 +60,7 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
     outcome.left += left_behind(field)
     if simulated and field.master("getParam", "/use_sim_time") is not True:
         outcome.left.append("/use_sim_time is not what was set")
-    if not simulated and field.master("getParam", "/robot/name") != "r2":
+    if field.master("getParam", "/robot/name") != "r2":
         outcome.left.append("/robot/name is not what was set")
     return outcome
 

@@ -141,7 +141,7 @@ class Field:
     def master(self, method: str, *params: Any) -> Any:
         """Call the ROS master; the value of its answer, None where it fails."""
         with contextlib.suppress(OSError, xmlrpc.client.Error), xmlrpc.client.ServerProxy(self.place.master) as proxy:
-            code, _, value = getattr(proxy, method)("/field", *params)  # type: ignore[misc]
+            code, _, value = getattr(proxy, method)("/field", *params)
             return value if code == 1 else None
         return None
 

@@ -39,8 +39,8 @@ def _on_master(field: Field) -> list[str]:
         return ["the master does not answer"]
     pid = field.worker("ros1").pid
     registered: dict[str, list[set[str]]] = {}
-    for kind, topics in enumerate(state[:2]):
-        for topic, nodes in topics:
+    for kind, listed in enumerate(state[:2]):
+        for topic, nodes in listed:
             for node in nodes:
                 if _OURS in node:
                     registered.setdefault(node, [set(), set()])[kind].add(topic)
@@ -50,8 +50,8 @@ def _on_master(field: Field) -> list[str]:
         if _ask(uri, "getPid") != pid:
             stale.append(f"the dead node {node}")
             continue
-        for kind, method in zip(kinds, ("getPublications", "getSubscriptions"), strict=True):
-            stale += [f"{node} for {t}" for t in sorted(kind - {t for t, _ in _ask(uri, method) or ()})]
+        for topics, method in zip(kinds, ("getPublications", "getSubscriptions"), strict=True):
+            stale += [f"{node} for {t}" for t in sorted(topics - {str(t) for t, _ in _ask(uri, method) or ()})]
     entries = field.master("getParam", PRESENCE) or {}
     stale += [f"{PRESENCE}/{key} of process {e['pid']}" for key, e in entries.items() if e.get("pid") != pid]
     if not registered or not entries:
@@ -61,7 +61,7 @@ def _on_master(field: Field) -> list[str]:
 
 def _ask(uri: Any, method: str) -> Any:
     with contextlib.suppress(OSError, xmlrpc.client.Error), xmlrpc.client.ServerProxy(str(uri)) as proxy:
-        code, _, value = getattr(proxy, method)("/field")  # type: ignore[misc]
+        code, _, value = getattr(proxy, method)("/field")
         return value if code == 1 else None
     return None
 

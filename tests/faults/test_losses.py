@@ -22,8 +22,7 @@ def field() -> Iterator[Field]:
 
 
 LOSSES: dict[str, Callable[[Field], Outcome]] = {
-    "roscore with parameters": cases.roscore,
-    "roscore with simulated time": cases.simulated_roscore,
+    "roscore with parameters and simulated time": cases.simulated_roscore,
     "ROS 1 node": lambda field: cases.program(field, "ros1"),
     "DDS participant": lambda field: cases.program(field, "ros2", forget=False),
     "router killed": lambda field: cases.worker_killed(field, "router"),
@@ -32,7 +31,6 @@ LOSSES: dict[str, Callable[[Field], Outcome]] = {
     "router and ros1 stopped for 2 s": lambda field: cases.worker_stopped(field, "router", "ros1", seconds=2.0),
     "ros2 stopped for longer than its lease": lambda field: cases.worker_stopped(field, "ros2", seconds=3.0),
     "all stopped for 10 s": lambda field: cases.worker_stopped(field, *WORKERS, seconds=10.0),
-    "everything killed": cases.daemon_with_workers,
 }
 
 
