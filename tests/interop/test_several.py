@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,6 +78,25 @@ def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joine
     assert [m["data"] for m in late.wait(heard, 1, 10)] == ["kept"]
     several.start(killed)
     until(lambda: killed.status("ros2").get("standby"), "the first one stands by", 30, every=0.2)
+    for flow in made:
+        flow.end(now=True)
+    quiet(made)
+    assert not [f.duplicates() for f in made if f.duplicates()]
+
+
+def test_another_takes_over_from_a_worker_that_dies_alone(several: Several) -> None:
+    daemons, networks = ring(several, joined=True)
+    made = flows(several, networks)
+    for flow in made:
+        flow.start(100_000, 200)
+    (name,) = active(daemons, "ros2")
+    (hit,) = (d for d in daemons if d.name == name)
+    at = time.monotonic()
+    os.kill(int(hit.status("ros2")["pid"]), signal.SIGKILL)
+    took = [flow.silence(at, 4.0) for flow in made]
+    print(f"taken over after {took}")
+    assert max(took) <= TAKEOVER_SECONDS
+    until(lambda: hit.status("ros2").get("standby"), "its successor stands by", 30, every=0.2)
     for flow in made:
         flow.end(now=True)
     quiet(made)

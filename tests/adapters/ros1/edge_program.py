@@ -148,6 +148,14 @@ class Program:
     def do_names(self, hub: str, side: str) -> dict[str, Any]:
         return {"side": self.edge.side_name(hub), "hub": self.edge.hub_name(side)}
 
+    def do_announce(self, record: str) -> dict[str, Any]:
+        self.edge.announce(record.encode())
+        return {}
+
+    def do_sightings(self) -> dict[str, Any]:
+        records = [s.record.decode() if s.record is not None else None for s in self.edge.sightings()]
+        return {"records": records, "settled": self.edge.settled(time.monotonic() - 1.0)}
+
     def do_status(self) -> dict[str, Any]:
         return {
             "others": [p.as_dict() for p in self.edge.others()],

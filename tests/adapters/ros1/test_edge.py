@@ -241,7 +241,7 @@ def test_a_publication_made_anew_at_once_is_heard_again(master, edge):
         for number in range(8):
             out = edge.ask("advertise", topic="/anew", type="std_msgs/String")["id"]
 
-            def once(out=out, number=number):
+            def once(out=out, number=number) -> bool:
                 edge.ask("send", id=out, payload=string(str(number)))
                 return str(number) in latest(peer.wait(heard, 10_000, 0.05))
 

@@ -1,7 +1,9 @@
 """Joining, losing and leaving a master; dead predecessors; other Midspans."""
 
+import contextlib
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -95,6 +97,40 @@ def test_two_daemons_know_of_each_other(master, tmp_path):
         )
         second.signal(signal.SIGKILL)
         until(lambda: not first.ask("status")["others"], "a dead one is not there")
+
+
+def test_what_one_announces_the_others_hear(master, tmp_path):
+    with edge_on(master, tmp_path / "a", "first") as first, edge_on(master, tmp_path / "b", "second") as second:
+        second.ask("announce", record="before it came")
+        third = edge_on(master, tmp_path / "c", "third")
+        with third:
+            until(lambda: third.ask("sightings")["settled"], "it has looked at the master, with its own entry there")
+            # Who was there before is seen by then; what it says comes by the connection that is being made.
+            assert len(third.ask("sightings")["records"]) == 2
+            until(lambda: "before it came" in third.ask("sightings")["records"], "the last record is heard")
+            third.ask("announce", record="from the third")
+            until(lambda: "from the third" in first.ask("sightings")["records"], "the first hears it")
+            first.signal(signal.SIGSTOP)
+            for number in range(3):
+                second.ask("announce", record=f"record {number}")
+            until(lambda: "record 2" in third.ask("sightings")["records"], "one that stands still holds up nobody")
+            first.signal(signal.SIGCONT)
+            until(lambda: "record 2" in first.ask("sightings")["records"], "and hears the newest when it goes on")
+            third.signal(signal.SIGKILL)
+            until(lambda: len(first.ask("sightings")["records"]) == 1, "a death is known by the broken connection", 1)
+
+
+def test_two_that_start_at_once_take_different_names(master, tmp_path):
+    with ThreadPoolExecutor() as pool:
+        edges = list(pool.map(lambda n: edge_on(master, tmp_path / n, n), ("one", "two", "three")))
+    with contextlib.ExitStack() as stack:
+        for edge in edges:
+            stack.enter_context(edge)
+        for edge in edges:
+            until(lambda edge=edge: len(edge.ask("status")["others"]) == 2, "it knows both others")
+            assert not edge.ask("status")["failures"]
+        names = {e["node"] for e in (master.call("getParam", "/midspan/nodes") or {}).values()}
+        assert len(names) == 3
 
 
 def test_being_asked_to_stop_is_a_failure(master, tmp_path):

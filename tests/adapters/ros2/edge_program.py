@@ -67,6 +67,13 @@ class Program:
             until(lambda: len(self.handles[id].messages) >= count, "messages", seconds)
         return {"messages": self.handles[id].texts()}
 
+    def announce(self, record: str) -> dict[str, Any]:
+        self.edge.announce(record.encode())
+        return {}
+
+    def sightings(self) -> dict[str, Any]:
+        return {"records": [s.record.decode() if s.record is not None else None for s in self.edge.sightings()]}
+
     def status(self) -> dict[str, Any]:
         return {
             "failed": self.failed,

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -208,3 +209,18 @@ def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
     edge.popen.stdin.close()
     assert edge.popen.wait(5) == 0
     assert not [path for path in made if path.exists()]
+
+
+def test_what_one_edge_announces_another_one_hears(edge: RunningEdge, programs: Programs) -> None:
+    edge.edge.announce(b"before it came")
+    other = programs.edge()
+    until(lambda: other.ask("sightings")["records"] == ["before it came"], "the last record is heard")
+    other.ask("announce", record="an answer")
+    until(lambda: [s.record for s in edge.edge.sightings()] == [b"an answer"], "so is the answer")
+    edge.edge.announce(b"more" * 10_000)
+    until(lambda: other.ask("sightings")["records"] == ["more" * 10_000], "each record replaces the last")
+    assert edge.edge.settled(0.0)
+    assert not edge.edge.settled(time.monotonic()), "who comes at this moment is not seen yet"
+    assert not [e for e in edge.edge.endpoints() if "_midspan" in e.topic]
+    other.signal(signal.SIGKILL)
+    until(lambda: not edge.edge.sightings(), "a death is known by the lease at last")

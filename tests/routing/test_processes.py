@@ -1,0 +1,33 @@
+"""Whether another worker's process still runs, told by its name."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+from bridge.routing.processes import has_ended, process_name
+from tests.support.wait import until
+
+
+def test_a_process_that_ended_is_known_by_its_name() -> None:
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    name = process_name(child.pid)
+    assert name
+    assert not has_ended(name)
+    assert not has_ended(process_name())
+    child.kill()
+    until(lambda: has_ended(name), "its death is seen before anybody waited for it")
+    child.communicate()
+    assert has_ended(name)
+
+
+def test_an_id_that_another_process_has_by_now_is_not_the_same() -> None:
+    place, _, _ = process_name().rpartition(" ")
+    assert has_ended(f"{place} 1")
+
+
+def test_what_is_not_of_this_machine_is_not_known() -> None:
+    _, _, rest = process_name().partition(" ")
+    for name in ("", "x", "a b c", f"another-boot {rest}", f"a b {os.getpid()} 0", "a b -1 0", "\0 \0 \0 \0"):
+        assert not has_ended(name)
