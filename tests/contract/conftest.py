@@ -18,6 +18,7 @@ from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
+from tests.support.quick_hub import QuickHub
 
 SIDES: dict[str, Callable[..., Side]] = {
     "fake": FakeSide,
@@ -30,7 +31,7 @@ SIDES: dict[str, Callable[..., Side]] = {
 
 @pytest.fixture
 def hubs() -> Iterator[HubNetwork]:
-    with HubNetwork() as network:
+    with QuickHub() as network:
         yield network
 
 

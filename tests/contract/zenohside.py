@@ -13,7 +13,7 @@ import pytest
 
 from bridge.adapters.crossing import Crossing
 from bridge.adapters.worker import make_edges
-from bridge.adapters.zenoh import ros1_aloha
+from bridge.adapters.zenoh import edge, ros1_aloha
 from bridge.config.model import Config
 from bridge.messages.registry import Registry
 from tests.contract.side import CUSTOM_FOLDER, Side
@@ -32,11 +32,11 @@ class ZenohBridge:
     def __init__(self, config: Config) -> None:
         registry = Registry(folders=list(config.types.folders))
         self._folder = tempfile.TemporaryDirectory()
-        edges = make_edges("zenoh", config, registry, Path(self._folder.name))
+        edges = self.edges = make_edges("zenoh", config, registry, Path(self._folder.name))
         self.crossings = [
             Crossing(name, edge, config, registry, self._failed, diagnostics=False) for name, edge in edges.items()
         ]
-        until(lambda: all(c.health().state == "running" for c in self.crossings), "the dialects are joined")
+        until(lambda: not any(c.health().state == "waiting" for c in self.crossings), "the dialects are joined", 20)
 
     def _failed(self, reason: str) -> None:
         raise AssertionError(reason)
@@ -60,6 +60,9 @@ class ZenohSide(Side):
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
         self._router = Router()
+        self._patch = pytest.MonkeyPatch()
+        self._patch.setattr(edge, "LINK_SECONDS", 0.1)
+        self._patch.setattr(edge, "TICK", 0.05)
 
     def bridge(self, config: Config) -> ZenohBridge:
         bridge = ZenohBridge(config)
@@ -80,6 +83,7 @@ class ZenohSide(Side):
     def close(self) -> None:
         super().close()
         self._router.stop()
+        self._patch.undo()
 
 
 class Ros2ddsSide(ZenohSide):
@@ -104,7 +108,6 @@ class Ros1KeysSide(ZenohSide):
 
     def __init__(self, hubs: HubNetwork) -> None:
         super().__init__(hubs)
-        self._patch = pytest.MonkeyPatch()
         self._patch.setattr(ros1_aloha, "PERIOD", PERIOD)
 
     def peer(self) -> Ros1Bridge:
@@ -114,7 +117,3 @@ class Ros1KeysSide(ZenohSide):
 
     def dialect(self) -> dict[str, Any]:
         return {"dialect": "ros1", "latched": ["/octomap_binary", "/*/tf_static"]}
-
-    def close(self) -> None:
-        super().close()
-        self._patch.undo()

@@ -81,7 +81,8 @@ class Ros1KeysEdge(KeyEdge):
 
         found = [self._endpoint(kind, topic) for kind, topic in told]
         found += configured(self.dialect, self._ros1, plain)
-        self._names.learn(e.topic for e in found)
+        with self._lock:
+            self._names.learn(e.topic for e in found)
         return list({(e.kind, e.id): e for e in found}.values())
 
     def _ros1(self, ros2_name: str) -> SideType:

@@ -32,7 +32,11 @@ _LOST = 4
 _SOON = 0.5
 """Periods within which a second beacon on one key is another bridge's."""
 
+_FORGOTTEN = 60
+"""Periods of silence after which a bridge counts as new: it may be silent for long where another one beacons."""
+
 _MAX_TOPICS = 20_000
+_MAX_SPEAKERS = 100
 
 
 class _Beacon:
@@ -76,7 +80,9 @@ class Aloha:
         self._changed, self._newcomer = changed, newcomer
         self._lock = threading.Lock()
         self._heard: dict[tuple[Kind, Topic], float] = {}
+        self._speakers: dict[tuple[Kind, Topic], dict[str, float]] = {}
         self._own: dict[tuple[Kind, Topic], _Beacon] = {}
+        self._ticked = time.monotonic()
         self._refused = 0
         self._subscriber = session.declare_subscriber(
             all_discovery(namespace),
@@ -109,11 +115,15 @@ class Aloha:
         return withdraw
 
     def tick(self, now: float) -> None:
-        """Send the beacons that are due, and forget who fell silent."""
+        """Send the beacons that are due, and forget who fell silent; while we stood still nobody was silent."""
         with self._lock:
+            stood_still, self._ticked = now - self._ticked, now
+            if stood_still > PERIOD:
+                self._heard = {place: min(heard + stood_still, now) for place, heard in self._heard.items()}
             gone = [place for place, heard in self._heard.items() if now - heard > _LOST * PERIOD]
             for place in gone:
                 del self._heard[place]
+                self._speakers.pop(place, None)
             for place, beacon in self._own.items():
                 if now >= beacon.due and place not in self._heard:
                     beacon.send(now)
@@ -152,7 +162,20 @@ class Aloha:
             if before is None and len(self._heard) >= _MAX_TOPICS:
                 return
             self._heard[place] = now
+            new = place[0] is Kind.SUBSCRIPTION and self._is_new(place, sender(sample), before, now)
         if before is None:
             self._changed()
-        if place[0] is Kind.SUBSCRIPTION and (before is None or now - before < _SOON * PERIOD):
+        if new:
             self._newcomer(place[1].name, before is None)
+
+    def _is_new(self, place: tuple[Kind, Topic], speaker: str, before: float | None, now: float) -> bool:
+        """Whether a beacon is of a bridge that did not beacon before.
+
+        The time stamp tells, where the bridge itself set it; else two beacons soon after each other are of two bridges.
+        """
+        speakers = self._speakers.setdefault(place, {})
+        last = speakers.get(speaker, 0.0)
+        speakers[speaker] = now
+        if len(speakers) > _MAX_SPEAKERS:
+            del speakers[next(iter(speakers))]
+        return before is None or now - last > _FORGOTTEN * PERIOD or now - before < _SOON * PERIOD

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.zenoh import ros1_aloha
+from bridge.adapters.zenoh import edge, ros1_aloha
 from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.zenohside import PERIOD, ZenohBridge
-from tests.support.hub import HubNetwork
+from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router
@@ -27,7 +27,7 @@ class Place:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.hubs = HubNetwork()
+        self.hubs = QuickHub()
         self.router = Router()
         self._open: list[Any] = []
         self._far: HubSide | None = None
@@ -104,6 +104,8 @@ class Place:
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Place]:
     monkeypatch.setattr(ros1_aloha, "PERIOD", PERIOD)
+    monkeypatch.setattr(edge, "LINK_SECONDS", 0.1)
+    monkeypatch.setattr(edge, "TICK", 0.05)
     made = Place(tmp_path)
     try:
         yield made

@@ -74,8 +74,11 @@ def test_in_out_and_both(place: Place) -> None:
     assert {m["data"] for m in place.far.wait(talked, 10_000, 0.5)} == {"back"}
     wrong = place.far.advertise("/robot/says", STRING)
     place.far.publish(wrong, {"data": "not for this key"})
-    own = [line for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
-    assert [line["decision"] for line in own] == ["own"]
+
+    def decided() -> list[str]:
+        return [line["decision"] for line in place.explain(SIDE, "/robot/says") if line["direction"] == "out"]
+
+    assert until(decided, "it is decided", every=0.1) == ["own"]
     assert place.status(SIDE)["refused"] == []
 
 
@@ -142,7 +145,10 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     out = place.far.advertise("/talk", STRING)
     assert cross(place.far, out, program, heard, {"data": "json"}) == {"data": "json"}
     assert bridge.tokens("/talk") == []
-    line = next(x for x in place.explain("zenoh_ros2dds", "/talk") if x["direction"] == "out")
-    assert "JSON" in line["why"]
+
+    def why() -> list[str]:
+        return [x["why"] for x in place.explain("zenoh_ros2dds", "/talk") if x["direction"] == "out"]
+
+    assert "JSON" in until(why, "it is decided", every=0.1)[0]
     bridge.advertise("/talk", STRING)
     until(lambda: [w for w in place.status("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)

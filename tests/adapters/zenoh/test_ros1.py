@@ -95,6 +95,19 @@ def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
         time.sleep(PERIOD / 4)
 
 
+def test_while_we_stand_still_nobody_is_gone(place: Place) -> None:
+    """A worker that was stopped for longer than a bridge may be silent keeps what it knew."""
+    bridge = place.ros1()
+    bridge.advertise("/chatter", STRING)
+    crossing = place.bridge({"dialect": "ros1"})
+    place.far.until_published("/chatter")
+    aloha = crossing.edges[SIDE]._aloha
+    before = aloha.topics()
+    assert before
+    aloha.tick(time.monotonic() + 100 * PERIOD)
+    assert aloha.topics() == before
+
+
 def test_an_md5_that_is_not_known_here_is_reported(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
