@@ -31,6 +31,7 @@ class Outcome:
         slowest: the flow that took longest.
         gap: longest silence of any flow.
         stale: commands that came out too late.
+        late_flows: where they did.
         twice: stream messages that came twice.
         missing: latched lines that an old or a new listener does not have.
         left: what is stale on the networks: dead nodes' registrations, lines of the dead.
@@ -41,6 +42,7 @@ class Outcome:
     slowest: str = ""
     gap: float = 0.0
     stale: int = 0
+    late_flows: list[str] = field(default_factory=list)
     twice: int = 0
     missing: list[str] = field(default_factory=list)
     left: list[str] = field(default_factory=list)
@@ -55,7 +57,7 @@ class Outcome:
         text = f"{self.seconds:6.2f} s, longest silence {self.gap:6.2f} s {self.slowest}"
         if not self.recovered:
             text = f"NOT RECOVERED: {self.slowest}"
-        more = [f"{self.stale} stale commands"] if self.stale else []
+        more = [f"{self.stale} stale commands ({', '.join(self.late_flows)})"] if self.stale else []
         more += [f"{self.twice} messages twice"] if self.twice else []
         more += [f"missing: {', '.join(self.missing)}"] if self.missing else []
         more += [f"left: {', '.join(self.left)}"] if self.left else []
@@ -103,7 +105,10 @@ class Watch:
         if arrivals and arrivals[0] - returned > outcome.seconds:  # its first message ever came late
             outcome.seconds, outcome.slowest = arrivals[0] - returned, f"({flow[0]} hears {flow[1]})"
         if flow[1].endswith("/cmd_vel"):
-            outcome.stale += sum(1 for arrival, sent, _ in sounds if arrival - sent > STALE)
+            late = [arrival - sent for arrival, sent, _ in sounds if arrival - sent > STALE]
+            outcome.stale += len(late)
+            if late:
+                outcome.late_flows.append(f"{flow[0]} hears {flow[1]} up to {max(late):.1f} s late")
         if flow[1].endswith("/stream"):
             counts = Counter((sent, number) for _, sent, number in sounds)
             outcome.twice += sum(n - 1 for n in counts.values())
