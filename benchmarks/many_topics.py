@@ -154,7 +154,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _idle(quiet: dict[str, list[float]], count: int) -> list[Row]:
     """Rows of the daemon's processor time while nothing is sent, taken beside the idle routes and alone."""
-    rows = [Row(f"{count} idle, CPU of the daemon, to the limit", took, IDLE_CPU, "%") for took in quiet.get("beside", ())]
+    case = f"{count} idle, CPU of the daemon, to the limit"
+    rows = [Row(case, took, IDLE_CPU, "%") for took in quiet.get("beside", ())]
     if quiet.get("alone"):
         added = quiet["beside"][0] - statistics.median(quiet["alone"])
         rows.append(Row(f"{count} idle, CPU beyond that without routes, to the limit", added, IDLE_CPU, "%"))
