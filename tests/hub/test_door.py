@@ -95,7 +95,7 @@ class Machines:
                 "connect_certificate": str(self.folder / f"{name}.pem"),
                 "connect_private_key": str(self.folder / f"{name}.key"),
             }
-        return {"mode": "client", "connect": {"timeout_ms": 2000}, "transport": {"link": {"tls": tls}}}
+        return {"mode": "client", "connect": {"timeout_ms": 1000}, "transport": {"link": {"tls": tls}}}
 
     def hub(self, name: str) -> Hub:
         return Hub.open(

@@ -52,7 +52,7 @@ def test_who_commands_without_tls(trusted: list[str], expected: set[str]) -> Non
         started.append(ear)
         until(lambda: "joined" in ear.output(), "a local program joins", 20)
         words = json.dumps([COMMAND, "0/**", DATA, END])
-        other.run(sys.executable, "-c", PROGRAM, f"tcp/{cable.addresses[0]}:7448", words, "2", env=env)
+        other.run(sys.executable, "-c", PROGRAM, f"tcp/{cable.addresses[0]}:7448", words, "1.5", env=env)
         ear.popen.wait(20)
         assert set(json.loads(ear.output().splitlines()[-1])) == expected
     finally:
