@@ -174,8 +174,8 @@ class Edge(ABC):
     def sightings(self) -> Sequence[Sighting]:
         """The other Midspan workers on this very network, whatever daemon, node or hub they belong to.
 
-        One that left in good order, or whose death the side tells, is gone at once; one that may be standing still stays,
-        and its ``heard`` tells. Dead predecessors of this very daemon are left out.
+        One that left in good order, or whose death the side tells, is gone at once; one that may be standing still
+        stays, and its ``heard`` tells. Dead predecessors of this very daemon are left out.
         """
         return ()
 

@@ -15,7 +15,8 @@ class Origin:
         side: ``ros1``, ``ros2``, ``yarp``, or of the zenoh adapter's dialects ``zenoh_ros2dds``, ``zenoh_ros1``,
             ``zenoh_json``.
         network: identity of the network: the master's run id on ROS 1, the participant's marked GUID prefix (24 hex
-            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side says whether it is its own network.
+            digits) on ROS 2, the dialect session's id on zenoh. The adapter of that side says whether it is its own
+            network.
         daemon: identity of the daemon (its machine and name), for people.
     """
 

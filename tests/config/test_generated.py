@@ -41,7 +41,8 @@ def test_every_key_is_described() -> None:
         for name, info in model.model_fields.items():
             assert info.description, f"{model.__name__}.{name}"
 
-    for model in (Config, Rule, QosOverride, Dialect, DialectKey, *(type(getattr(Config(), name)) for name in Config.model_fields)):
+    sections = (type(getattr(Config(), name)) for name in Config.model_fields)
+    for model in (Config, Rule, QosOverride, Dialect, DialectKey, *sections):
         if hasattr(model, "model_fields"):
             check(model)
 

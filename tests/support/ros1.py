@@ -73,7 +73,7 @@ class RosMaster:
     def call(self, method: str, *params: Any) -> Any:
         """Call the master's API; the value of its answer, None where it did not succeed."""
         with ServerProxy(self.uri) as proxy:
-            code, _, value = getattr(proxy, method)("/test", *params)  # type: ignore[misc]
+            code, _, value = getattr(proxy, method)("/test", *params)
         return value if code == 1 else None
 
     def state(self) -> dict[str, dict[str, list[str]]]:

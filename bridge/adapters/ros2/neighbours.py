@@ -16,7 +16,7 @@ from pathlib import Path
 
 from bridge.adapters.keep import keep
 from bridge.adapters.ros2.mark import is_marked
-from bridge.adapters.ros2.shm import FOLDER
+from bridge.hub.pools import FOLDER
 
 CONFIRM_SECONDS = 1.0
 """A program that has just ended may still be on the graph, and has no process any more."""

@@ -87,7 +87,7 @@ def test_long_answers_are_refused(monkeypatch):
 
 @pytest.mark.parametrize("length", [5, 95_000_000, 2**64])
 def test_answers_that_are_shorter_than_they_claim_are_refused(length):
-    def serve(sock):
+    def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n<a>" % length)
 
@@ -97,7 +97,7 @@ def test_answers_that_are_shorter_than_they_claim_are_refused(length):
 
 @pytest.mark.parametrize("body", [b"<bigdecimal></bigdecimal>", b"<a", b"<value><array><data>" * 1000, b"\xff\xfe"])
 def test_answers_that_are_no_xmlrpc_are_refused(body):
-    def serve(sock):
+    def serve(sock) -> None:
         sock.recv(65536)
         sock.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(body) + body)
 
