@@ -1,0 +1,75 @@
+"""Some hundred endpoints made and destroyed on each side, and a slow subscriber on each; longer runs by benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from benchmarks import churn, slow_consumer
+from benchmarks.endurance.deployment import SIDES, Census, Deployment
+from benchmarks.latency.usage import WORKERS
+from tests.support.wait import until
+
+BATCHES = 2
+MOST_EACH = 60_000
+"""Bytes of memory that an endpoint may leave: zenoh keeps up to 15 kB for its keys, and a short run is uneven."""
+
+SPARE_THREADS = 8
+"""Threads that the middlewares start once and keep."""
+
+
+@pytest.fixture(scope="module")
+def deployment() -> Iterator[Deployment]:
+    """A daemon between a program of each side."""
+    with Deployment() as made:
+        for side in SIDES:
+            made.program(side)
+        yield made
+
+
+def test_endpoints_that_come_and_go_leave_nothing(deployment: Deployment):
+    churns = [churn.Churn(deployment, side) for side in SIDES]
+    # What is made once is made for the first batch.
+    for one in churns:
+        one.batch()
+    before = settled(deployment, None)
+    for one in churns:
+        for _ in range(BATCHES):
+            one.batch()
+    after = settled(deployment, before)
+    for name, used in before.used.items():
+        assert after.used[name].threads <= used.threads + SPARE_THREADS, name
+        assert after.used[name].descriptors <= used.descriptors + SPARE_THREADS, name
+        grown = (after.used[name].rss - used.rss) * 1e6 / (len(SIDES) * BATCHES * churn.BATCH)
+        assert grown < MOST_EACH, f"{name}: {grown:.0f} bytes for each endpoint"
+
+
+def settled(deployment: Deployment, before: Census | None) -> Census:
+    """The daemon once only the feeds are left; idle threads go ten seconds later."""
+    feeds = len(SIDES) * (churn.FED + churn.STREAMED)
+
+    def left() -> Census | None:
+        census = deployment.census()
+        own = sum(deployment.routes("/churn").values()) + sum(deployment.routes("/kept").values())
+        idle = before is None or (
+            (census.tokens, census.registrations) == (before.tokens, before.registrations)
+            and all(census.used[w].threads <= before.used[w].threads + SPARE_THREADS for w in WORKERS)
+        )
+        return census if not own and idle and sum(census.routes.values()) >= feeds else None
+
+    return until(left, "nothing is left of the endpoints", 40, every=0.5)
+
+
+def test_a_slow_subscriber_costs_bounded_memory_and_delays_nobody(deployment: Deployment):
+    """A message a second of 40 MB/s, on every side at once."""
+    for slow in slow_consumer.measure(deployment, SIDES, rate=40.0, seconds=5.0, alone=1.0):
+        small, big = slow.beside[slow_consumer.SMALL], slow.beside[slow_consumer.BIG]
+        assert slow.read < 15, "it is slow"
+        assert small.sent > 100
+        assert (small.lost, small.repeated, big.repeated) == (0, 0, 0), slow.side
+        assert big.lost < big.sent / 10, slow.side
+        for name, most in slow.memory_beside.items():
+            assert most - slow.memory_before[name] < 100, f"{name}: the slow one cost {most} MB"
+        if slow.side == "ros1":
+            assert slow.drops["slow"] > 0
