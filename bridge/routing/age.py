@@ -36,7 +36,7 @@ STEP_NS = 100_000_000
 """A time stamp that lies farther behind its predecessor is a clock that was set back, and not a message overtaken."""
 
 HOLD = 0.5
-"""Seconds after such a step in which the quickest message is looked for anew, and none counts as fresh."""
+"""Seconds in which the quickest message is looked for, and none counts as fresh."""
 
 
 def _now_ns() -> int:
@@ -50,7 +50,7 @@ class AgeGate:
     The least difference between arrival and time stamp that was ever seen stands for the offset plus the shortest way;
     what exceeds it is time spent waiting. The least difference is forgotten slowly, so that drifting clocks do not
     make everything look old. Arrival is taken from a clock that nobody sets; where the source's own is set back, the
-    least difference is looked for anew.
+    least difference is looked for anew. So it is at the start, for a source whose first message looks old.
     """
 
     __slots__ = ("_held_until", "_least", "_newest", "_seen")
@@ -63,11 +63,14 @@ class AgeGate:
     def age(self, source_time_ns: int) -> float:
         """Seconds that this message waited on its way, beyond the quickest one of its source.
 
-        Infinite where a newer one came before it, and for a moment after the source's clock was set back.
+        Infinite where a newer one came before it, and while the quickest one is looked for.
         """
         arrival = _now_ns()
         difference, now = arrival - source_time_ns, arrival / 1e9
         newest, self._newest = self._newest, source_time_ns
+        if self._least is None and time.time_ns() - source_time_ns > STEP_NS:
+            # Either its clock is behind, or what piled up before it comes first, as DDS does for a new reader.
+            self._held_until = now + HOLD
         if self._least is None or difference < self._least:
             self._least = difference
         elif newest - source_time_ns > STEP_NS:

@@ -78,6 +78,7 @@ def test_age_is_waiting_time_whatever_the_clock_offset(monkeypatch: pytest.Monke
     clock = Clock(monkeypatch)
     gate = age.AgeGate()
     offset = -3600.0
+    ages(clock, gate, offset)
     for _ in range(5):
         clock.now += 0.1
         assert gate.age(int((clock.now + offset - 0.001) * 1e9)) < 0.01
@@ -118,6 +119,19 @@ def test_what_piled_up_before_a_clock_was_set_back_stays_old(monkeypatch: pytest
     clock.now += 3.0
     backlog = [gate.age(int((clock.now - 3600.0 - 3.0 + n * 0.05) * 1e9)) for n in range(60)]
     assert min(backlog) > age.HOLD
+
+
+def test_what_piled_up_for_a_new_source_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, gate = Clock(monkeypatch), age.AgeGate()
+    backlog = [gate.age(int((clock.now - 1.3 + n * 0.05) * 1e9)) for n in range(26)]
+    assert min(backlog) > age.HOLD
+    assert ages(clock, gate, 0.0)[-1] < 0.01
+
+
+def test_a_single_message_of_a_new_source_is_fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    assert age.AgeGate().age(int((clock.now - 0.01) * 1e9)) == 0.0
+    assert age.AgeGate().age(int((clock.now + 100.0) * 1e9)) == 0.0
 
 
 def test_a_message_that_was_overtaken_is_old(monkeypatch: pytest.MonkeyPatch) -> None:
