@@ -134,12 +134,17 @@ class Daemon:
             os.kill(process.pid, number)
         return at
 
+    def end(self) -> None:
+        """Tell it to stop; `close` waits for that."""
+        if self.process is not None and self.process.popen.poll() is None:
+            self.signal(signal.SIGCONT)
+            self.process.signal(signal.SIGTERM)
+
     def close(self) -> None:
         """Stop it."""
         if self.watch is not None:
             self.watch.close()
         if self.process is not None:
-            self.signal(signal.SIGCONT)
             self.process.stop()
 
 
@@ -216,6 +221,8 @@ class Several:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        for daemon in self.daemons:
+            daemon.end()
         for daemon in self.daemons:
             daemon.close()
         for thing in reversed(self._open):
@@ -316,4 +323,4 @@ def quiet(made: list[Flow]) -> None:
         same, before = now == before, now
         return same
 
-    until(still, "nothing more comes", 60, every=1.0)
+    until(still, "nothing more comes", 60, every=0.7)

@@ -14,7 +14,7 @@ from tests.interop.several import Daemon, Flow, Several, flows, pour, quiet, rin
 from tests.support.wait import until
 
 TAKEOVER_SECONDS = 2.0
-COUNT = 2000
+COUNT = 1000
 RATE = 1000.0
 
 
@@ -28,19 +28,6 @@ def several(tmp_path: Path) -> Iterator[Several]:
 def active(daemons: list[Daemon], side: str) -> list[str]:
     """The daemons that are active on a side."""
     return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
-
-
-@pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
-def test_a_ring_of_two_started_at_once_brings_nothing_twice(several: Several, joined: bool, node: str) -> None:
-    daemons, networks = ring(several, joined=joined, node=node)
-    carry(flows(several, networks), COUNT, RATE)
-    for side in ("ros1", "ros2"):
-        (name,) = active(daemons, side)
-        (other,) = (d for d in daemons if d.name != name)
-        assert other.status(side)["standby"] == name
-        said = other.explain(side, "/from_0")
-        assert said, said
-        assert any(line["decision"] == "standby" and name in line["reason"] for line in said) or not joined, said
 
 
 @pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
@@ -58,10 +45,19 @@ def carry(made: list[Flow], count: int, rate: float) -> None:
         assert not flow.duplicates(), tallies
 
 
-@pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
-def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joined: bool) -> None:
-    daemons, networks = ring(several, joined=joined)
+@pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
+def test_a_ring_of_two_started_at_once_brings_nothing_twice_and_outlives_either(
+    several: Several, joined: bool, node: str
+) -> None:
+    daemons, networks = ring(several, joined=joined, node=node)
     made = flows(several, networks)
+    carry(made, COUNT, RATE)
+    for side in ("ros1", "ros2"):
+        (name,) = active(daemons, side)
+        (other,) = (d for d in daemons if d.name != name)
+        assert other.status(side)["standby"] == name
+        said = other.explain(side, "/from_0")
+        assert not joined or any(line["decision"] == "standby" and name in line["reason"] for line in said), said
     state = several.program(networks[0])
     latched = state.advertise("/state", "std_msgs/String", latched=True)
     state.publish(latched, {"data": "kept"})
@@ -70,7 +66,7 @@ def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joine
     (name,) = set(active(daemons, "ros2"))
     (killed,) = (d for d in daemons if d.name == name)
     at = killed.kill()
-    took = [flow.silence(at, 4.0) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in made]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
     late = several.program(networks[1])
@@ -84,7 +80,7 @@ def test_another_takes_over_within_two_seconds_and_keeps(several: Several, joine
     assert not [f.duplicates() for f in made if f.duplicates()]
 
 
-def test_another_takes_over_from_a_worker_that_dies_alone(several: Several) -> None:
+def test_another_takes_over_from_a_worker_that_dies_alone_or_stands_still(several: Several) -> None:
     daemons, networks = ring(several, joined=True)
     made = flows(several, networks)
     for flow in made:
@@ -93,25 +89,14 @@ def test_another_takes_over_from_a_worker_that_dies_alone(several: Several) -> N
     (hit,) = (d for d in daemons if d.name == name)
     at = time.monotonic()
     os.kill(int(hit.status("ros2")["pid"]), signal.SIGKILL)
-    took = [flow.silence(at, 4.0) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in made]
     print(f"taken over after {took}")
     assert max(took) <= TAKEOVER_SECONDS
     until(lambda: hit.status("ros2").get("standby"), "its successor stands by", 30, every=0.2)
-    for flow in made:
-        flow.end(now=True)
-    quiet(made)
-    assert not [f.duplicates() for f in made if f.duplicates()]
-
-
-def test_one_that_stood_still_brings_nothing_twice(several: Several) -> None:
-    daemons, networks = ring(several, joined=True)
-    made = flows(several, networks)
-    for flow in made:
-        flow.start(100_000, 200)
     (name,) = set(active(daemons, "ros2"))
     (stopped,) = (d for d in daemons if d.name == name)
     at = stopped.signal(signal.SIGSTOP)
-    took = [flow.silence(at, 4.0) for flow in made]
+    took = [flow.silence(at, 2.5) for flow in made]
     print(f"taken over after {took}")
     stopped.signal(signal.SIGCONT)
     until(lambda: stopped.status("ros2").get("state") in ("standby", "running"), "it goes on", 30, every=0.2)
