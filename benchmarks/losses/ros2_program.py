@@ -82,6 +82,7 @@ class Ros2Program(Program):
         """As the base says."""
         self._executor.shutdown(2.0)
         self._spinner.join(2.0)
+        self._node.destroy_node()  # else the others take it for alive until its lease is over
         rclpy.shutdown()
 
     def _spin(self) -> None:
