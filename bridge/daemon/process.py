@@ -14,6 +14,7 @@ from bridge.daemon.limits import raise_open_files
 from bridge.daemon.notify import Notifier
 from bridge.daemon.pipe import DaemonPipe
 from bridge.daemon.protocol import EXIT_CANNOT_WORK, Beat, Command, NewConfig, Owner, Report
+from bridge.daemon.stacks import tell_stacks_on_signal
 from bridge.daemon.workers import WorkerKind
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class Process:
         self._control = control
         self._commands = Commands()
         install_signals(self._commands)
+        tell_stacks_on_signal()
 
     def run_supervised(self) -> int:
         """Run under the daemon; the exit code."""

@@ -30,9 +30,13 @@ from bridge.daemon.protocol import (
     Restart,
     Stop,
 )
+from bridge.daemon.stacks import TELL_STACKS
 from bridge.daemon.workers import WorkerKind
 
 logger = logging.getLogger("midspan.daemon")
+
+_LAST_WORDS = 0.3
+"""Seconds for a silent worker to tell where its threads stand, before it is killed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +102,7 @@ class Slot:
         self._blocked_since = 0.0
         self._waited_for = ""
         self._then_start = False
-        self._killed = False
+        self._killed = self._asked = False
 
     @property
     def name(self) -> str:
@@ -244,7 +248,7 @@ class Slot:
         """The worker said something."""
         match report:
             case Beat(_, health):
-                self._beat = time.monotonic()
+                self._beat, self._asked = time.monotonic(), False
                 if self.phase is Phase.STARTING:
                     self.phase = Phase.UP
                     logger.info("%s is up (%s)", self.name, health.text)
@@ -292,8 +296,12 @@ class Slot:
         match self.phase:
             case Phase.STARTING if now - self._started > self._timing.start:
                 self._kill(f"did not come up within {self._timing.start:g} s")
-            case Phase.UP if now - self._beat > self._timing.heartbeat:
+            case Phase.UP if now - self._beat > self._timing.heartbeat + _LAST_WORDS:
                 self._kill(f"sent no heartbeat for {self._timing.heartbeat:g} s")
+            case Phase.UP if now - self._beat > self._timing.heartbeat and not self._asked:
+                self._asked = True
+                if self._link is not None and self._link.pid and TELL_STACKS is not None:
+                    self._link.kill(TELL_STACKS)
             case Phase.STOPPING if now > self._due:
                 self._kill("did not stop in time")
             case Phase.PAUSED | Phase.FAILED if now > self._due:

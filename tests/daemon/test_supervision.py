@@ -78,6 +78,8 @@ def test_worker_whose_loop_hangs_is_replaced(daemon: Daemon, order: str) -> None
     daemon.wait_ready(process)
     daemon.order("ros1", order)
     until(lambda: "ros1 sent no heartbeat" in process.output(), "noticed")
+    if order == "hang":
+        assert "fakes.py" in process.output()  # where it hangs
     daemon.order("ros1")
     assert alive(daemon.wait_started("ros1", 2))
 
