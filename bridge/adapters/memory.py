@@ -7,9 +7,11 @@ import gc
 import sys
 from typing import Any
 
-_TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # glibc's malloc.h
+_TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -2, -3, -8  # glibc's malloc.h
 _KEPT = 128 * 1024 * 1024
 _PAD = 64 * 1024 * 1024
+_ARENAS = 2
+"""Each thread would else have a heap of its own, and what one thread frees of another's helps nobody."""
 _LARGEST = 32 * 1024 * 1024
 """The largest that glibc takes on 64 bits (DEFAULT_MMAP_THRESHOLD_MAX)."""
 
@@ -23,7 +25,12 @@ def keep_memory() -> None:
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
-        for option, value in ((_MMAP_THRESHOLD, _LARGEST), (_TRIM_THRESHOLD, _KEPT), (_TOP_PAD, _PAD)):
+        for option, value in (
+            (_MMAP_THRESHOLD, _LARGEST),
+            (_TRIM_THRESHOLD, _KEPT),
+            (_TOP_PAD, _PAD),
+            (_ARENA_MAX, _ARENAS),
+        ):
             mallopt(option, value)
 
 

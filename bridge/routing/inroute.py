@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from bridge.adapters.base import EdgeSubscription, Endpoint
 from bridge.hub.errors import HubError
@@ -17,9 +17,10 @@ from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate
 from bridge.routing.joint import Joint
+from bridge.routing.lane import Lane
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import BULK, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -37,6 +38,13 @@ class _Source:
     publisher: HubPublisher
     latched: bool
     age: AgeGate
+
+
+class _Message(NamedTuple):
+    payload: bytes
+    known: _Source
+    source: str
+    time_ns: int | None
 
 
 class InRoute(Route):
@@ -69,6 +77,9 @@ class InRoute(Route):
         self._qos = Qos()
         self._limit = RateLimit(decision.rate) if decision.rate else None
         self._priority = Priority.STREAM
+        depth = decision.depth or QUEUE_DEPTH[self._priority]
+        name = f"midspan-in{self.side_topic}"
+        self._large = Lane(name, depth, QUEUE_BYTES, self._carry, lambda: self.counters.dropped("queue"))
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called by the engine's loop alone."""
@@ -175,13 +186,23 @@ class InRoute(Route):
         if self._limit is not None and not known.latched and not self._limit.passes():
             counters.dropped("rate")
             return
-        limit = self._joint.hub.max_payload
-        if self.too_large(len(payload), limit):
+        if self.too_large(len(payload), self._joint.hub.max_payload):
+            return
+        message = _Message(payload, known, source, time_ns)
+        if len(payload) > BULK or self._large.busy:
+            self._large.put(message, len(payload))
+        else:
+            self._carry(message)
+
+    def _carry(self, message: _Message) -> None:
+        payload, known, source, time_ns = message
+        if self._sources.get(source) is not known:  # gone while it waited
+            self.counters.dropped("unknown")
             return
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)
-            if self.too_large(len(data), limit):
+            if self.too_large(len(data), self._joint.hub.max_payload):
                 return
             if self._static is not None and known.latched:
                 with self._static_lock:
@@ -191,7 +212,7 @@ class InRoute(Route):
         except (MessageError, HubError, ValueError) as err:
             self.bad(str(err))
             return
-        counters.crossed(len(data))
+        self.counters.crossed(len(data))
 
     def _stale(self, known: _Source, time_ns: int | None) -> bool:
         timeout = self.decision.timeout
@@ -207,6 +228,7 @@ class InRoute(Route):
         if self._subscription is not None:
             self._subscription.close()
             self._subscription = None
+        self._large.close()
         for source in list(self._sources):
             self._remove(source)
         for publisher in (self._shared, self._static_publisher):

@@ -21,14 +21,11 @@ from bridge.routing.age import AgeGate
 from bridge.routing.joint import Joint
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import BULK, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
 _log = logging.getLogger(__name__)
-
-BULK = 64 * 1024
-"""Bytes from which a message goes to the dispatcher for large ones, so that it delays no small one."""
 
 MAX_PENDING = 64
 _STATIC = "static transforms"

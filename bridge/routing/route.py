@@ -24,6 +24,9 @@ STREAM_DEPTH = 1000
 BULK_DEPTH = 50
 """The same for types that carry bytes without end, as images, clouds and maps do."""
 
+BULK = 64 * 1024
+"""Bytes from which a message is carried by other threads than small ones, so that it delays none of them."""
+
 QUEUE_BYTES = 64 * 1024 * 1024
 """Bytes that wait in one route's queue at most."""
 

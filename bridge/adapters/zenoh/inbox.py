@@ -12,9 +12,8 @@ from bridge.adapters.base import Deliver
 from bridge.adapters.zenoh.sink import is_command
 from bridge.hub.qos import Qos
 from bridge.routing.dispatcher import Dispatcher
-from bridge.routing.outroute import BULK
 from bridge.routing.priority import Priority
-from bridge.routing.route import QUEUE_BYTES
+from bridge.routing.route import BULK, QUEUE_BYTES
 
 
 @dataclass(frozen=True, slots=True)
