@@ -15,6 +15,8 @@ import pytest
 _MARK = "MIDSPAN_TEST_RUN"
 _run = uuid.uuid4().hex
 _started_by: dict[object, str] = {}
+_at_start: set[object] = set()
+_left_by_workers: list[str] = []
 
 
 def _processes() -> dict[object, str]:
@@ -33,11 +35,12 @@ def _processes() -> dict[object, str]:
 def _threads() -> dict[object, str]:
     # Python's stand-ins for threads of zenoh's, which belong to the process and not to a session
     real = [t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)]
-    return {t: f"thread {t.name}" for t in real if t is not threading.main_thread()}
+    return {t: f"thread {t.name}" for t in real if t is not threading.main_thread() and t not in _at_start}
 
 
 def pytest_sessionstart() -> None:
     os.environ[_MARK] = _run
+    _at_start.update(_threads())
     # a shell that runs this in the background lets it ignore Ctrl-C, and so would every program that a test starts
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -48,17 +51,31 @@ def pytest_runtest_logfinish(nodeid: str) -> None:
         _started_by.setdefault(thing, nodeid)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: object, error: object) -> None:
+    """A process of pytest-xdist that ran some of the tests has ended: take what it found."""
+    _left_by_workers.extend(getattr(node, "workeroutput", {}).get("left", []))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
+    leads = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
+    look = dict if leads else _threads  # the tests ran elsewhere; xdist has threads of its own here
     end = time.monotonic() + 5
-    while (left := {**_processes(), **_threads()}) and time.monotonic() < end:
+    while (left := {**_processes(), **look()}) and time.monotonic() < end:
         time.sleep(0.05)
-    for thing, name in left.items():
-        reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-        if reporter is not None:
-            reporter.write_line(f"LEFT BEHIND: {name} (first seen after {_started_by.get(thing, 'an unknown test')})")
+    found = [f"{name} (first seen after {_started_by.get(thing, 'an unknown test')})" for thing, name in left.items()]
+    for thing in left:
         if isinstance(thing, psutil.Process):
             with contextlib.suppress(psutil.Error):
                 thing.kill()
-    if left:
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left"] = found
+        return
+    found += _left_by_workers
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    for line in found:
+        if reporter is not None:
+            reporter.write_line(f"LEFT BEHIND: {line}")
+    if found:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
