@@ -81,6 +81,8 @@ def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
     name = EXTRAS[side]
     field.start_programs(name)
     watch = _settled(field)
+    if side == "ros2" and not forget:
+        field.lingering[field.states[name]] = time.monotonic() + FORGET_SECONDS
     field.kill(name)
     time.sleep(PAUSE)
     field.say_state(*ANCHORS)

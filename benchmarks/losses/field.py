@@ -50,6 +50,7 @@ class Field:
     def __init__(self, *, patient: bool = True) -> None:
         self._patient = patient
         self.states: dict[str, str] = {}
+        self.lingering: dict[str, float] = {}
         self.clock = False
         self._children: dict[str, Child] = {}
         self._memory: set[Path] = set()

@@ -136,9 +136,11 @@ class Watch:
             ]
         for name in (JOINER, "ros2", "hub"):
             expected = {line for n, line in wanted.items() if n != name or name == "ros2"}
-            got = self._field.ask(name, "late", "joined", count=len(expected), seconds=2.0)["lines"]
+            lingering = {line for line, until in self._field.lingering.items() if time.monotonic() < until}
+            count = len(expected | lingering)
+            got = self._field.ask(name, "late", "joined", count=count, seconds=2.0)["lines"]
             missing += [f"{line} at a newcomer on {name}" for line in sorted(expected - set(got))]
-            left += [f"{line} at a newcomer on {name}" for line in sorted(set(got) - expected)]
+            left += [f"{line} at a newcomer on {name}" for line in sorted(set(got) - expected - lingering)]
             left += [f"{line} {n} times at a newcomer on {name}" for line, n in Counter(got).items() if n > 1]
         return missing, left
 

@@ -1,0 +1,55 @@
+"""The threads of zenoh's library: what comes in never stops what is under way elsewhere."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from tests.support.hub import HubNetwork
+
+PROGRAM = """
+import sys, threading, time
+from bridge.hub.runtime import receive_on_one_thread
+receive_on_one_thread()
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub, HubSettings
+
+endpoint, HASH = sys.argv[1], "RIHS01_" + "ab" * 32
+one, two = (Hub.open(HubSettings(router=endpoint, node=name)) for name in ("one", "two"))
+with one, two:
+    busy, done = threading.Event(), threading.Event()
+
+    def heard(sample):
+        busy.set()
+        sum(range(20_000))  # long enough for another thread to take Python's lock
+
+    subscription = one.subscription("/flood", "std_msgs/msg/Empty", HASH, Qos(), heard)
+    publisher = two.publisher("/flood", "std_msgs/msg/Empty", HASH, Qos())
+
+    def flood():
+        while not done.is_set():
+            publisher.put(b"x")
+            time.sleep(0.0002)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    assert busy.wait(20)
+    worst = 0.0
+    for number in range(100):
+        latched = one.publisher(f"/map{number}", "std_msgs/msg/Empty", HASH, Qos(durability=Durability.TRANSIENT_LOCAL))
+        latched.put(b"y")
+        begun = time.monotonic()
+        latched.close()
+        worst = max(worst, time.monotonic() - begun)
+    done.set()
+    thread.join()
+print(worst)
+"""
+
+
+def test_latched_publishers_close_at_once_while_messages_come(network: HubNetwork) -> None:
+    endpoint = str(network.settings("flood").router)
+    ran = subprocess.run(
+        [sys.executable, "-c", PROGRAM, endpoint], capture_output=True, text=True, timeout=100, check=True
+    )
+    assert float(ran.stdout) < 5.0  # zenoh gives up waiting after 10 s
