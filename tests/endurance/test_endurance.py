@@ -28,6 +28,7 @@ def deployment() -> Iterator[Deployment]:
         yield made
 
 
+@pytest.mark.timeout(240)
 def test_endpoints_that_come_and_go_leave_nothing(deployment: Deployment):
     churns = [churn.Churn(deployment, side) for side in SIDES]
     # What is made once is made for the first batch.
@@ -58,7 +59,11 @@ def settled(deployment: Deployment, before: Census | None) -> Census:
         )
         return census if not own and idle and sum(census.routes.values()) >= feeds else None
 
-    return until(left, "nothing is left of the endpoints", 40, every=0.5)
+    try:
+        return until(left, "nothing is left of the endpoints", 90, every=0.5)
+    except AssertionError:
+        print(before, deployment.census(), deployment.routes("/churn"), deployment.routes("/kept"), sep="\n")
+        raise
 
 
 def test_a_slow_subscriber_costs_bounded_memory_and_delays_nobody(deployment: Deployment):

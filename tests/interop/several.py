@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -155,6 +157,7 @@ class Several:
         self.folder = folder
         self.daemons: list[Daemon] = []
         self._open: list[Any] = []
+        self._folders: list[str] = []
         self._names = 0
 
     def ros1(self) -> Network:
@@ -177,7 +180,7 @@ class Several:
         links = {"connect": {"endpoints": [f"tcp/127.0.0.1:{join.port}"]}} if join else {}
         config: dict[str, Any] = {
             "name": name,
-            "state": str(folder / "state"),
+            "state": self._short_folder(),
             "hub": {"listen": f"tcp/127.0.0.1:{port}", "router_zenoh": links},
             **{side: {"enabled": False} for side in ("ros1", "ros2")},
             **{n.side: {**n.settings(), "node": node} for n in networks},
@@ -188,6 +191,12 @@ class Several:
         made = Daemon(name, file, port, [n.side for n in networks])
         self.daemons.append(made)
         return made
+
+    def _short_folder(self) -> str:
+        """A folder whose name leaves room for a socket's; pytest's own may be too long."""
+        folder = tempfile.mkdtemp(prefix="midspan-")
+        self._folders.append(folder)
+        return folder
 
     def start(self, *daemons: Daemon) -> None:
         """Start them in the same moment, and wait until each worker has found its part."""
@@ -227,6 +236,8 @@ class Several:
             daemon.close()
         for thing in reversed(self._open):
             getattr(thing, "stop", getattr(thing, "close", None))()
+        for state in self._folders:
+            shutil.rmtree(state, ignore_errors=True)
 
 
 class Flow:
