@@ -13,7 +13,6 @@ from bridge.adapters.memory import keep_memory, keep_objects
 from bridge.config.model import Config
 from bridge.config.state import worker_folder
 from bridge.hub import pools
-from bridge.hub.runtime import receive_on_one_thread
 from bridge.messages.registry import Registry
 from bridge.worker import Health, Worker
 
@@ -52,7 +51,6 @@ class BridgeWorker(Worker):
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
-        receive_on_one_thread()
         config = _with_memory(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pytest
@@ -10,6 +11,11 @@ from benchmarks import churn, slow_consumer
 from benchmarks.endurance.deployment import SIDES, Census, Deployment
 from benchmarks.latency.usage import WORKERS
 from tests.support.wait import until
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get("MIDSPAN_ENDURANCE"),
+    reason="set MIDSPAN_ENDURANCE=1: beside another test a worker was seen to stand still here, and was replaced",
+)
 
 BATCHES = 2
 MOST_EACH = 60_000

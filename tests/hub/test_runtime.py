@@ -9,8 +9,6 @@ from tests.support.hub import HubNetwork
 
 PROGRAM = """
 import sys, threading, time
-from bridge.hub.runtime import receive_on_one_thread
-receive_on_one_thread()
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
 
