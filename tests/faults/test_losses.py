@@ -13,6 +13,8 @@ from benchmarks.losses import cases
 from benchmarks.losses.field import WORKERS, Field
 from benchmarks.losses.outcome import Outcome
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture(scope="module")
 def field() -> Iterator[Field]:
