@@ -201,8 +201,8 @@ class Edge(ABC):
         """The legal hub topic name for one of the side's."""
         return side_name
 
-    def went_on(self) -> None:  # noqa: B027  most have nothing to do
-        """The process stood still, maybe so long that the network took it for dead, and runs again."""
+    def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
+        """The process stood still for so long, maybe until the network took it for dead, and runs again."""
 
     def warnings(self) -> list[str]:
         """What is wrong on the side and not with one route alone, for people; for example incompatible QoS."""

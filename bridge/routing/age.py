@@ -1,7 +1,7 @@
 """Is a command still fresh? Commands that waited somewhere are dropped, not delivered late.
 
 Two things age a command: time on the way, seen from source time stamps, and a worker that stood still (stopped by a
-signal or starved) while messages piled up in its sockets, seen from a pulse that missed its beats.
+signal, suspended or starved) while messages piled up in its sockets, seen from a pulse that missed its beats.
 """
 
 from __future__ import annotations
@@ -10,16 +10,25 @@ import math
 import time
 
 
+def _now_ns() -> int:
+    """A clock that nobody sets, and that goes on while the machine is suspended where the system has one."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
+
+
+def _now() -> float:
+    return _now_ns() / 1e9
+
+
 class Pulse:
     """Notices that this process stood still. `beat` is called about ten times a second by the engine's loop."""
 
     def __init__(self) -> None:
-        self._last = time.monotonic()
+        self._last = _now()
         self._until = 0.0
 
     def beat(self) -> float:
         """Mark that the process runs; the seconds since the last beat."""
-        now = time.monotonic()
+        now = _now()
         since, self._last = now - self._last, now
         if since > 0.5:
             # What piled up while we stood still is still being read from sockets for a moment.
@@ -28,7 +37,7 @@ class Pulse:
 
     def stood_still(self, timeout: float) -> bool:
         """Whether a message that arrives now may have waited longer than ``timeout`` seconds in front of us."""
-        now = time.monotonic()
+        now = _now()
         return now < self._until or now - self._last > max(timeout, 0.3)
 
 
@@ -37,11 +46,6 @@ STEP_NS = 100_000_000
 
 HOLD = 0.5
 """Seconds in which the quickest message is looked for, and none counts as fresh."""
-
-
-def _now_ns() -> int:
-    """A clock that nobody sets, and that goes on while the machine is suspended where the system has one."""
-    return time.clock_gettime_ns(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic_ns()
 
 
 class AgeGate:

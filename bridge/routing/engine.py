@@ -162,8 +162,9 @@ class Engine:
     def _run(self) -> None:
         tick = look = 0.0
         while not self._stopping.is_set():
-            if self._pulse.beat() > _STOOD_STILL:
-                self.edge.went_on()
+            since = self._pulse.beat()
+            if since > _STOOD_STILL:
+                self.edge.went_on(since)
             woken = self._wake.wait(_PULSE)
             now = time.monotonic()
             if woken or now >= look:

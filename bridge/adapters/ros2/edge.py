@@ -20,7 +20,7 @@ from bridge.adapters.base import (
     MadeBy,
     Sighting,
 )
-from bridge.adapters.ros2 import neighbours, rcl, shm
+from bridge.adapters.ros2 import farewell, neighbours, rcl, shm
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
 from bridge.adapters.ros2.loop import Loop, TakeLoop
@@ -42,8 +42,8 @@ from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
 
-_NOTHING = "/_midspan/nothing"
-"""A hidden topic on which nothing is ever said."""
+_FORGOTTEN = 15.0
+"""Seconds after which others may have given us up: Fast DDS's default lease is 20."""
 
 
 class Ros2Edge(Edge):
@@ -82,6 +82,11 @@ class Ros2Edge(Edge):
         graph = self._graph = Graph(self._participant, self._prefix, self._changed)
         self._origins = Origins(
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
+        )
+        farewell.say(
+            self._origins.predecessors,
+            domain(self._config, os.environ),
+            localhost_only=self._config.ros2.localhost_only and self._config.ros2.profile is None,
         )
         graph.start()
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
@@ -229,16 +234,12 @@ class Ros2Edge(Edge):
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
-    def went_on(self) -> None:
-        """Participants that gave us up meanwhile find our endpoints again, but not to which node they belong.
-
-        rmw_fastrtps forgets a lost participant's nodes, and is not told again what it had received already; each
-        endpoint made or destroyed has it told anew.
-        """
-        if self._participant is not None:
-            string = self._registry.ros2("std_msgs/msg/String")
-            message_class = self._types.message_class(string.name, string.type_id)
-            self._participant.destroy(self._participant.make_reader(message_class, _NOTHING, Qos()))
+    def went_on(self, seconds: float) -> None:
+        """See `Edge.went_on`: who was forgotten by others, and has not forgotten them, is never found again."""
+        if seconds > _FORGOTTEN and self._listener is not None:
+            self._listener.edge_failed(
+                f"stood still for {seconds:.0f} s, so that ROS 2 nodes may have given this one up: starting again"
+            )
 
     def warnings(self) -> list[str]:
         """Native subscriptions that do not hear what we publish, and why."""

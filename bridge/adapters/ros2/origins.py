@@ -18,6 +18,8 @@ DISCOVERY_SECONDS = 1.5
 """A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
 
 _KEPT = 64
+_PREDECESSORS = 4
+"""Each one that started has told of those before it, unless it died at once."""
 _MAX_SEEN = 1000
 """Origins whose moment is remembered; the oldest is forgotten, and would have its moment again."""
 _FILE = "prefixes"
@@ -35,13 +37,16 @@ class Origins:
 
     Attributes:
         past: the prefixes of this daemon's participants, dead ones and ours.
+        predecessors: the newest of the dead ones.
     """
 
     def __init__(
         self, own: bytes, folder: Path, participants: Callable[[], frozenset[bytes]], settled: Callable[[], None]
     ) -> None:
         self._participants, self._settled = participants, settled
-        self.past = _remember(own, folder / _FILE)
+        kept = _remember(own, folder / _FILE)
+        self.past = frozenset(kept)
+        self.predecessors = kept[:-1][-_PREDECESSORS:]
         self._lock = threading.Lock()
         self._first_seen: dict[bytes, float] = {}
         self._timers: list[threading.Timer] = []
@@ -76,18 +81,18 @@ class Origins:
             timer.join()
 
 
-def _remember(own: bytes, file: Path) -> frozenset[bytes]:
-    """Add our prefix to those kept, and return them all."""
+def _remember(own: bytes, file: Path) -> list[bytes]:
+    """Add our prefix to those kept, and return them all, ours last."""
     try:
         lines = file.read_text(errors="replace").split()
     except OSError:
         lines = []
     lines = [*(line for line in lines if line != own.hex()), own.hex()][-_KEPT:]
     keep(file, "\n".join(lines) + "\n", "for some seconds after a crash, topics of its own may come back")
-    past = set()
+    past = []
     for line in lines:
         try:
-            past.add(bytes.fromhex(line))
+            past.append(bytes.fromhex(line))
         except ValueError:
             continue
-    return frozenset(past)
+    return past

@@ -2,8 +2,8 @@
 
 The topic is hidden by ROS 2's rule (``/_midspan/presence``) and carries JSON in a ``std_msgs/msg/String``. It is
 latched, so that one who comes hears all others at once, and each record replaces the last. Who is there is known
-before anything is heard, by the mark in the GUID prefix; a participant that ended without a word stays until its lease
-is over (2 s), but is not heard any more.
+before anything is heard, by the mark in the GUID prefix; a participant that ended without a word stays until its
+successor tells of it or its lease is over (20 s), but is not heard any more.
 """
 
 from __future__ import annotations

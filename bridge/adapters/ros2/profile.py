@@ -1,4 +1,4 @@
-"""The Fast DDS profile of the worker's participant: transports, mark, lease.
+"""The Fast DDS profile of the worker's participant: transports, mark, announcements.
 
 What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
 
@@ -10,7 +10,8 @@ What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
 - The default queue in front of a participant's shared memory (512) overflows in a burst; what did not fit comes again
   after the writer's next heartbeat, which is every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
-- A participant's death without a word is noticed after its lease: 20 s by default, 2 s here.
+- A participant's death without a word is noticed after its lease, 20 s by default; see
+  `bridge.adapters.ros2.farewell` for why it is not shorter here.
 """
 
 from __future__ import annotations
@@ -19,16 +20,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-_NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
-_UNICAST_RANGE = "32"
-"""Participants of one machine and domain that are announced to by unicast; as rmw_fastrtps does it for LOCALHOST."""
+from bridge.adapters.ros2.farewell import MULTICAST, PARTICIPANTS
 
+_NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
 """Messages that other participants may have written to us by shared memory and that Fast DDS has not yet taken up."""
 
 _UDP_BUFFER = 4 * 1024 * 1024
-_MULTICAST = "239.255.0.1"
-"""The SPDP multicast address (DDSI-RTPS 2.5, 9.6.1.4.1)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,20 +75,17 @@ class Profile:
         _text(descriptor, "type", "UDPv4")
         _text(descriptor, "sendBufferSize", str(_UDP_BUFFER))
         _text(descriptor, "receiveBufferSize", str(_UDP_BUFFER))
-        _text(descriptor, "maxInitialPeersRange", _UNICAST_RANGE)
+        _text(descriptor, "maxInitialPeersRange", str(PARTICIPANTS))
         if self.localhost_only:
             _text(ET.SubElement(descriptor, "interfaceWhiteList"), "address", "127.0.0.1")
 
     def _builtin(self, builtin: ET.Element) -> None:
         discovery = ET.SubElement(builtin, "discovery_config")
-        lease = ET.SubElement(discovery, "leaseDuration")
-        _text(lease, "sec", "2")
-        _text(lease, "nanosec", "0")
         announcement = ET.SubElement(discovery, "leaseAnnouncement")
         _text(announcement, "sec", "0")
         _text(announcement, "nanosec", "500000000")
         peers = ET.SubElement(builtin, "initialPeersList")
-        for address in (_MULTICAST, "127.0.0.1"):
+        for address in (MULTICAST, "127.0.0.1"):
             _text(ET.SubElement(ET.SubElement(peers, "locator"), "udpv4"), "address", address)
 
 

@@ -102,18 +102,35 @@ def own_shm(programs: Programs) -> Iterator[Callable[[str], int]]:
         holder.communicate()
 
 
+class Ways:
+    """Endpoints of an edge and of a native program, by which messages go both ways."""
+
+    def __init__(self, edge: Peer, native: Peer) -> None:
+        self.edge, self.native = edge, native
+        self.inward, self.outward = (
+            edge.ask("subscribe", topic="/x/in")["id"],
+            edge.ask("advertise", topic="/x/out")["id"],
+        )
+        self.heard, self.sends = (
+            native.subscribe("/x/out", "std_msgs/String"),
+            native.advertise("/x/in", "std_msgs/String"),
+        )
+
+    def cross(self, data: str = "x", seconds: float = 10.0) -> None:
+        """Send until this text has come out on both sides."""
+
+        def both() -> bool:
+            self.native.publish(self.sends, {"data": data})
+            self.edge.ask("publish", id=self.outward, message=data)
+            came = self.edge.ask("wait", id=self.inward, count=1, seconds=0.1)["messages"]
+            return data in came and {"data": data} in self.native.wait(self.heard, 1, 0.1)
+
+        until(both, "messages both ways", seconds)
+
+
 def crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 10.0) -> None:
     """Messages go both ways between an edge and a native program."""
-    inward, outward = edge.ask("subscribe", topic="/x/in")["id"], edge.ask("advertise", topic="/x/out")["id"]
-    heard, sends = native.subscribe("/x/out", "std_msgs/String"), native.advertise("/x/in", "std_msgs/String")
-
-    def both() -> bool:
-        native.publish(sends, {"data": data})
-        edge.ask("publish", id=outward, message=data)
-        came = edge.ask("wait", id=inward, count=1, seconds=0.1)["messages"]
-        return bool(came) and bool(native.wait(heard, 1, 0.1))
-
-    until(both, "messages both ways", seconds)
+    Ways(edge, native).cross(data, seconds)
 
 
 def segments(program: Peer) -> set[Path]:
@@ -196,8 +213,22 @@ def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, 
     assert endpoint.made_by is MadeBy.MIDSPAN
     until(lambda: native.graph()["publishers"].get("/x/killed"), "the edge on the native graph")
     killed.signal(signal.SIGKILL)
+    programs.edge()  # a worker's successor, with its state
     until(lambda: not native.graph()["publishers"].get("/x/killed"), "the killed edge to go")
     edge.gone("/x/killed", Kind.PUBLISHER)
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0])
+def test_everything_crosses_again_after_an_edge_stood_still(programs: Programs, seconds: float) -> None:
+    edge, native = programs.edge(), programs.native()
+    ways = Ways(edge, native)
+    ways.cross()
+    for number in range(2):
+        edge.signal(signal.SIGSTOP)
+        time.sleep(seconds)  # this is the case: that long it is silent
+        edge.signal(signal.SIGCONT)
+        ways.cross(f"again {number}")
+    assert native.graph()["publishers"]["/x/out"] == ["midspan"]
 
 
 def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
@@ -223,4 +254,5 @@ def test_what_one_edge_announces_another_one_hears(edge: RunningEdge, programs: 
     assert not edge.edge.settled(time.monotonic()), "who comes at this moment is not seen yet"
     assert not [e for e in edge.edge.endpoints() if "_midspan" in e.topic]
     other.signal(signal.SIGKILL)
-    until(lambda: not edge.edge.sightings(), "a death is known by the lease at last")
+    programs.edge()
+    until(lambda: len(edge.edge.sightings()) == 1, "a successor tells of the death")

@@ -117,16 +117,14 @@ def test_no_message_comes_twice_where_publishers_differ(edge: RunningEdge, peer:
         return len({source for _, source, _ in inbox.messages}) == 3
 
     until(warm, "all three publishers to be heard")
+    expected = []
+    # One at a time: of a burst, best effort and a history of ten may lose some on a busy machine.
     for number in range(20):
         for endpoint in publishers:
-            native.publish(endpoint, {"data": f"{endpoint}-{number}"})
-    expected = sorted(f"{endpoint}-{number}" for endpoint in publishers for number in range(20))
-
-    def received() -> list[str]:
-        return [t for t in inbox.texts() if t != "warm"]
-
-    until(lambda: set(received()) == set(expected), "all messages")
-    assert received() == expected
+            expected.append(f"{endpoint}-{number}")
+            native.publish(endpoint, {"data": expected[-1]})
+            until(lambda: expected[-1] in inbox.texts(), "the message")
+    assert [t for t in inbox.texts() if t != "warm"] == sorted(expected)
 
 
 def test_what_another_midspan_publishes_is_not_delivered(
