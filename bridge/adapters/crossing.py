@@ -11,7 +11,8 @@ from typing import Any
 import psutil
 
 from bridge.adapters.base import Edge
-from bridge.config.model import Config, RoutingSection
+from bridge.config.model import Config
+from bridge.config.sections.routing import RoutingSection
 from bridge.config.state import state_folder
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings

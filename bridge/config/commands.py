@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bridge.config.model import RoutingSection, Rule
+from bridge.config.sections.routing import RoutingSection, Rule
 
 EVERY = "*"
 """In place of the last part of a name: topics of any name."""

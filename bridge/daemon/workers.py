@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import bridge
-from bridge.config.model import Config, Enabled
+from bridge.config.model import Config
+from bridge.config.sections.section import Enabled
 from bridge.daemon.notify import ENVIRONMENT as NOTIFY_ENVIRONMENT
 from bridge.worker import Worker
 

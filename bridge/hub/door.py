@@ -15,7 +15,9 @@ from typing import Any
 import psutil
 import zenoh
 
-from bridge.config.model import Config, OpenSection, is_loopback
+from bridge.config.model import Config
+from bridge.config.sections.hub import OpenSection
+from bridge.config.sections.values import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 from bridge.hub.trust import ANYBODY, access_control

@@ -15,7 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from bridge.config.commands import EVERY, commands
-from bridge.config.model import OpenSection, RoutingSection
+from bridge.config.sections.hub import OpenSection
+from bridge.config.sections.routing import RoutingSection
 from bridge.hub.keyexpr import dds_type_name
 from bridge.hub.liveliness import ADMIN_SPACE, MIDSPAN_SPACE
 

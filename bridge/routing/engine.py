@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from bridge.adapters.base import Edge, Endpoint, Kind
-from bridge.config.model import RoutingSection
+from bridge.config.sections.routing import RoutingSection
 from bridge.hub.origin import Origin
 from bridge.hub.session import Hub
 from bridge.routing.age import Pulse

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from bridge.config.model import QosOverride, RoutingSection, Rule
+from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.routing.patterns import glob_regex, rename_glob
 from bridge.routing.private import why_private

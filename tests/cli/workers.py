@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.adapters.base import MadeBy
-from bridge.config.model import RoutingSection
+from bridge.config.sections.routing import RoutingSection
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
 from bridge.hub.subscription import HubSample

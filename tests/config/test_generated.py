@@ -11,7 +11,8 @@ from ruamel.yaml import YAML
 
 from bridge.config import Config, generate, load, loads
 from bridge.config.hints import all_keys
-from bridge.config.model import Dialect, DialectKey, QosOverride, Rule
+from bridge.config.sections.routing import QosOverride, Rule
+from bridge.config.sections.zenoh import Dialect, DialectKey
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = sorted((ROOT / "configs").glob("*.yaml"))

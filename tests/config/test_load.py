@@ -10,7 +10,7 @@ import pytest
 
 from bridge.config import Config, ConfigError, find, load, loads
 from bridge.config.document import MAX_BYTES
-from bridge.config.model import Rule
+from bridge.config.sections.routing import Rule
 from bridge.daemon.protocol import NewConfig, decode_command, encode_command
 
 

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.config.commands import ALWAYS, EVERY, commands, untyped
-from bridge.config.model import OpenSection, RoutingSection
+from bridge.config.sections.hub import OpenSection
+from bridge.config.sections.routing import RoutingSection
 from bridge.hub.keyexpr import dds_type_name, topic_key
 from bridge.hub.trust import access_control, harmless_keys, not_beginning
 from bridge.routing.priority import COMMAND_TYPES

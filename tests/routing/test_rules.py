@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.config.model import RoutingSection
+from bridge.config.sections.routing import RoutingSection
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.routing.rules import RuleSet
 

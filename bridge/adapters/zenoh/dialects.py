@@ -8,7 +8,8 @@ from bridge.adapters.base import Edge
 from bridge.adapters.zenoh.json_keys import JsonKeysEdge
 from bridge.adapters.zenoh.ros1 import Ros1KeysEdge
 from bridge.adapters.zenoh.ros2dds import Ros2ddsEdge
-from bridge.config.model import Config, Dialect
+from bridge.config.model import Config
+from bridge.config.sections.zenoh import Dialect
 from bridge.messages.registry import Registry
 
 

@@ -19,7 +19,8 @@ from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Sighting
 from bridge.adapters.zenoh.inbox import Inbox, Lanes
 from bridge.adapters.zenoh.mark import new_zid
 from bridge.adapters.zenoh.neighbours import Neighbours, remember
-from bridge.config.model import Config, Dialect
+from bridge.config.model import Config
+from bridge.config.sections.zenoh import Dialect
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos

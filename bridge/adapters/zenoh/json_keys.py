@@ -19,7 +19,8 @@ from bridge.adapters.zenoh.edge import KeyEdge
 from bridge.adapters.zenoh.json_text import cdr_to_text, text_to_cdr
 from bridge.adapters.zenoh.kept_publisher import KeptPublisher
 from bridge.adapters.zenoh.subscription import KeySubscription
-from bridge.config.model import Config, Dialect, DialectKey
+from bridge.config.model import Config
+from bridge.config.sections.zenoh import Dialect, DialectKey
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.errors import MessageTypeError

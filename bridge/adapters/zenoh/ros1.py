@@ -22,7 +22,8 @@ from bridge.adapters.zenoh.ros1_aloha import Aloha
 from bridge.adapters.zenoh.ros1_keys import Topic, data_key
 from bridge.adapters.zenoh.ros1_publisher import Ros1KeyPublisher
 from bridge.adapters.zenoh.subscription import KeySubscription
-from bridge.config.model import Config, Dialect
+from bridge.config.model import Config
+from bridge.config.sections.zenoh import Dialect
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.errors import MessageTypeError

@@ -21,7 +21,8 @@ from bridge.adapters.zenoh.ros2dds_graph import Graph, endpoint_id
 from bridge.adapters.zenoh.ros2dds_publisher import Announcer, Ros2ddsPublisher
 from bridge.adapters.zenoh.ros2dds_subscription import LatchedSubscription
 from bridge.adapters.zenoh.subscription import KeySubscription
-from bridge.config.model import Config, Dialect
+from bridge.config.model import Config
+from bridge.config.sections.zenoh import Dialect
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import Conversion, SideType
 from bridge.messages.errors import MessageTypeError

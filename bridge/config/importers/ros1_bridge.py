@@ -18,8 +18,8 @@ from pydantic import Field
 from bridge.config.document import Document, KeyPath, key_text, read
 from bridge.config.importers.draft import Draft, RuleDraft, missing
 from bridge.config.importers.peerfile import NOT_CARRIED, checked, topic_name, type_name
-from bridge.config.model import Section
 from bridge.config.problems import ConfigError, Problem
+from bridge.config.sections.section import Section
 
 MAX_DEPTH = 100_000
 

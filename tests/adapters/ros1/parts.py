@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from bridge.adapters.ros1.environment import worker_environment
-from bridge.config.model import Config, Ros1Section
+from bridge.config.model import Config
+from bridge.config.sections.ros1 import Ros1Section
 from tests.support.peer import Peer
 from tests.support.ros1 import RosMaster
 from tests.support.wait import until

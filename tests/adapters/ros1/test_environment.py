@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from bridge.adapters.ros1.environment import PLACES, available, is_local, packages_folder, worker_environment
-from bridge.config.model import Config, Ros1Section
+from bridge.config.model import Config
+from bridge.config.sections.ros1 import Ros1Section
 from tests.support.ros1 import needs_ros1
 
 

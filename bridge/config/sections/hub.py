@@ -1,0 +1,128 @@
+"""The section ``hub``: the hub and its door to other machines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator, model_validator
+
+from bridge.config.sections.section import Enabled, Section
+from bridge.config.sections.values import ZenohEndpoint, is_loopback, same_port
+
+
+class OpenSection(Section):
+    """The hub's door to other machines; closed until it is told where to listen or connect (see docs/security.md)."""
+
+    listen: tuple[ZenohEndpoint, ...] = Field(
+        default=(), description="Where other machines may connect, for example `tls/0.0.0.0:7448`."
+    )
+    connect: tuple[ZenohEndpoint, ...] = Field(
+        default=(),
+        description="Machines to connect to, for example `tls/robot1:7448`: by a name or address that is in their"
+        " certificate.",
+    )
+    trusted: tuple[Annotated[str, Field(min_length=1, max_length=64)], ...] = Field(
+        default=(),
+        description="Machines, by the name in their certificate, from which commands, goals, cancels and service calls"
+        " are accepted; `*`: every machine that may join.",
+    )
+    keys: Path | None = Field(
+        default=None,
+        description="Folder with `ca.pem`, `<name>.pem` and `<name>.key`, as `midspan keys` makes them, where `<name>`"
+        " is the daemon's; default /etc/midspan/keys.",
+    )
+    certificate: Path | None = Field(
+        default=None, description="This machine's certificate (PEM), where it is not in `keys`."
+    )
+    key: Path | None = Field(default=None, description="Its private key (PEM), where it is not in `keys`.")
+    ca: Path | None = Field(
+        default=None,
+        description="Certificate of the authority that signed every machine's (PEM), where it is not in `keys`.",
+    )
+    insecure: bool = Field(
+        default=False,
+        description="Allow endpoints without TLS: whoever reaches them may join, and nobody has a name to be trusted"
+        " by.",
+    )
+    zenoh: dict[str, Any] | Path | None = Field(
+        default=None, description="zenoh configuration laid over the door's, like `hub.router_zenoh`."
+    )
+
+    @property
+    def opened(self) -> bool:
+        """Whether the hub is open to other machines."""
+        return bool(self.listen or self.connect)
+
+    @model_validator(mode="after")
+    def _safe(self) -> OpenSection:
+        plain = [place for place in (*self.listen, *self.connect) if not place.startswith(("tls/", "quic/"))]
+        named = [name for name in self.trusted if name != "*"]
+        if plain and not self.insecure:
+            msg = (
+                f"{plain[0]} has no TLS: anybody on that network could join; write tls/{plain[0].partition('/')[2]} and"
+                " make certificates with 'midspan keys', or say 'insecure: true'"
+            )
+        elif plain and named:
+            msg = f"without TLS nobody shows a certificate, and {named[0]!r} cannot be told from others; use TLS"
+        elif (self.trusted or self.insecure) and not self.opened:
+            msg = "names no endpoint: give 'listen' or 'connect'"
+        else:
+            return self
+        raise ValueError(msg)
+
+
+class HubSection(Section):
+    """The hub: one ROS 2 graph on zenoh in rmw_zenoh's format."""
+
+    domain: int = Field(default=0, ge=0, le=232, description="ROS domain id of the hub, the first part of each key.")
+    listen: ZenohEndpoint = Field(
+        default="tcp/127.0.0.1:7447",
+        description="Where the daemon's own router listens, for this machine alone; `open` lets others in.",
+    )
+    router: Enabled = Field(
+        default="auto",
+        description="Whether the daemon runs a router itself; `auto`: unless one answers at `listen` already.",
+    )
+    open: OpenSection = Field(
+        default_factory=OpenSection,
+        description="The door to other machines, closed until `listen` or `connect` is given; see"
+        " [security](security.md).",
+    )
+    zenoh: dict[str, Any] | Path | None = Field(
+        default=None,
+        description="zenoh configuration, inline or the path of a JSON5 or YAML file, laid over the defaults of the"
+        " workers' sessions: mode (peer, client), connect, listen, transport/link/tls, access_control.",
+    )
+    router_zenoh: dict[str, Any] | Path | None = Field(
+        default=None, description="The same for the router that the daemon runs itself."
+    )
+    shared_memory: bool = Field(
+        default=True, description="Shared memory between this machine's workers for large messages."
+    )
+
+    @property
+    def indoors(self) -> HubSection:
+        """The section as it is with the door closed: what this machine's own programs depend on."""
+        return self.model_copy(update={"open": OpenSection()})
+
+    @field_validator("listen")
+    @classmethod
+    def _listens_on_this_machine(cls, value: str) -> str:
+        if not is_loopback(value):
+            msg = f"{value!r} is open to other machines; listen on 127.0.0.1, and let others in by hub.open"
+            raise ValueError(msg)
+        return value
+
+    @model_validator(mode="after")
+    def _open_fits(self) -> HubSection:
+        taken = [place for place in self.open.listen if same_port(place, self.listen)]
+        if self.open.opened and self.router is False:
+            msg = "hub.open needs the daemon's router, and hub.router is false"
+        elif self.open.opened and self.listen.startswith(("tls/", "quic/")):
+            msg = "with hub.open this machine's own programs join without TLS; write hub.listen: tcp/127.0.0.1:7447"
+        elif taken:
+            msg = f"{taken[0]} has the port of hub.listen ({self.listen}), which is taken; choose another, such as 7448"
+        else:
+            return self
+        raise ValueError(msg)

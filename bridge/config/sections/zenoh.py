@@ -1,0 +1,145 @@
+"""The section ``zenoh``: the other key dialects on zenoh networks."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from bridge.config.sections.section import Enabled, Section
+from bridge.config.sections.values import ROS2_NAME, ZenohEndpoint
+
+_PLAIN_KEY = re.compile(r"[^\s/*$?#@]+(?:/[^\s/*$?#@]+)*")
+_HUB_KEY = re.compile(r"[0-9]+/.+/.+::dds_::.+/RIHS[0-9]{2}_.+")
+_USUALLY_LATCHED = ("/tf_static", "/map", "/map_metadata", "/robot_description")
+
+
+class DialectKey(Section):
+    """A key of a dialect whose publishers announce nothing."""
+
+    key: str | None = Field(default=None, description="`json` alone: the zenoh key, for example `robot/pose`.")
+    topic: str | None = Field(
+        default=None, description="The topic, for example `/pose`; with `json` by default the key behind a slash."
+    )
+    type: str = Field(description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`.")
+    direction: Literal["in", "out", "both"] = Field(
+        default="both",
+        description="`json` alone: whether the programs on the key publish (`in`), listen (`out`), or do both.",
+    )
+    latched: bool = Field(
+        default=False, description="`json` alone: keep the last message that comes from the key for late joiners."
+    )
+
+    @property
+    def hub_topic(self) -> str:
+        """The topic's name."""
+        return self.topic if self.topic is not None else f"/{self.key}"
+
+    @field_validator("key")
+    @classmethod
+    def _key_is_plain(cls, value: str | None) -> str | None:
+        if value is not None and not _PLAIN_KEY.fullmatch(value):
+            msg = f"{value!r} is no plain zenoh key: parts between slashes, without blanks and any of * $ ? # @"
+            raise ValueError(msg)
+        if value is not None and _HUB_KEY.fullmatch(value):
+            msg = f"{value!r} is a key of the hub itself: its programs speak ROS 2, not JSON"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("type")
+    @classmethod
+    def _type_is_spelled_as_in_ros2(cls, value: str) -> str:
+        if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", value, re.ASCII):
+            msg = f"{value!r} is no message type as ROS 2 spells them, for example std_msgs/msg/String"
+            raise ValueError(msg)
+        return value
+
+    @model_validator(mode="after")
+    def _topic_is_legal(self) -> DialectKey:
+        if (self.topic is not None or self.key is not None) and not ROS2_NAME.fullmatch(self.hub_topic):
+            msg = f"{self.hub_topic!r} is no topic name; give a 'topic' of letters, digits and underscores, as /pose"
+            raise ValueError(msg)
+        return self
+
+
+class Dialect(Section):
+    """One key dialect that is spoken on the zenoh network."""
+
+    dialect: Literal["ros2dds", "ros1", "json"] = Field(
+        description="`ros2dds`: as zenoh-bridge-ros2dds; `ros1`: as zenoh-bridge-ros1; `json`: JSON on plain keys."
+    )
+    namespace: str | None = Field(
+        default=None,
+        description="Not with `json`: the namespace of the bridges, as their own configurations have it. ros2dds:"
+        " default `/`; ros1 (`bridge_namespace`): default `*`.",
+    )
+    keys: tuple[DialectKey, ...] = Field(
+        default=(),
+        description="`json`: all keys. Else topics that programs publish which announce nothing, as free_fleet's do.",
+    )
+    latched: tuple[str, ...] = Field(
+        default=_USUALLY_LATCHED,
+        description="`ros1` alone: globs of topics whose last message is kept, since that dialect does not tell what is"
+        " latched.",
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Dialect:
+        json = self.dialect == "json"
+        for_json = any(key.key is not None or key.direction != "both" or key.latched for key in self.keys)
+        topics = [key.hub_topic for key in self.keys]
+        if json and self.namespace is not None:
+            msg = "JSON keys have no namespace; write it into each key"
+        elif json and not self.keys:
+            msg = "names no keys: JSON is spoken on the keys that are listed here"
+        elif json and any(key.key is None for key in self.keys):
+            msg = "an entry of keys has no 'key'"
+        elif not json and any(key.topic is None for key in self.keys):
+            msg = "an entry of keys has no 'topic'"
+        elif not json and for_json:
+            msg = "'key', 'direction' and 'latched' of an entry of keys are for json alone"
+        elif len(set(topics)) < len(topics):
+            msg = f"names the topic {max(topics, key=topics.count)} twice"
+        elif json and len({key.key for key in self.keys}) < len(self.keys):
+            msg = "names a key twice"
+        elif self.dialect != "ros1" and self.latched != _USUALLY_LATCHED:
+            msg = "'latched' here is for ros1 alone"
+        elif self.dialect == "ros2dds" and not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", self.namespace or "/", re.ASCII):
+            msg = f"namespace {self.namespace!r} is none of ROS 2, as /robot1"
+        elif self.dialect == "ros1" and not re.fullmatch(r"\*|[A-Za-z0-9_.-]+", self.namespace or "*", re.ASCII):
+            msg = f"namespace {self.namespace!r} is no single part of a key, as robot1 or *"
+        else:
+            return self
+        raise ValueError(msg)
+
+
+class ZenohSection(Section):
+    """The other key dialects in use on zenoh networks; each is a side of its own for the rules.
+
+    The sides are called ``zenoh_ros2dds``, ``zenoh_ros1`` and ``zenoh_json``; ``zenoh`` stands for the hub itself.
+    """
+
+    enabled: Enabled = Field(default="auto", description="`auto`: where a dialect is configured.")
+    router: ZenohEndpoint | None = Field(
+        default=None,
+        description="Router of another zenoh network, for example `tcp/robot1:7447`; default the hub's own network.",
+    )
+    zenoh: dict[str, Any] | Path | None = Field(
+        default=None,
+        description="zenoh configuration of the sessions there, inline or the path of a JSON5 or YAML file; without it"
+        " and without `router` they join as the hub's sessions do.",
+    )
+    dialects: tuple[Dialect, ...] = Field(default=(), description="What is spoken there; see below.")
+
+    @model_validator(mode="after")
+    def _once_each(self) -> ZenohSection:
+        if self.enabled is True and not self.dialects:
+            msg = "enabled is true, but no dialect is configured"
+            raise ValueError(msg)
+        networks = [(d.dialect, d.namespace, tuple(k.key for k in d.keys if k.key)) for d in self.dialects]
+        if len(set(networks)) < len(networks):
+            msg = "a dialect is given twice"
+            raise ValueError(msg)
+        return self
