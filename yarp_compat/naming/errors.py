@@ -1,0 +1,25 @@
+"""What can go wrong with names.
+
+NamingError
+  NameServerAbsent    no name server where it should be, or it does not answer in time
+  NameRefused         the name server answered, and did not take the name
+ConfigError           the file that says where the name server is, cannot be used
+"""
+
+from __future__ import annotations
+
+
+class NamingError(Exception):
+    """A name could not be asked for or registered."""
+
+
+class NameServerAbsent(NamingError):
+    """No name server answers where the configuration says it is."""
+
+
+class NameRefused(NamingError):
+    """The name server did not take a name."""
+
+
+class ConfigError(NamingError):
+    """The file that says where the name server is, is missing what it needs."""
