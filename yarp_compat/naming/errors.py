@@ -1,8 +1,8 @@
 """What can go wrong with names.
 
 NamingError
-  NameServerAbsent    no name server where it should be, or it does not answer in time
-  NameRefused         the name server answered, and did not take the name
+  NoNameServerError    no name server where it should be, or it does not answer in time
+  NameRefusedError         the name server answered, and did not take the name
 ConfigError           the file that says where the name server is, cannot be used
 """
 
@@ -13,11 +13,11 @@ class NamingError(Exception):
     """A name could not be asked for or registered."""
 
 
-class NameServerAbsent(NamingError):
+class NoNameServerError(NamingError):
     """No name server answers where the configuration says it is."""
 
 
-class NameRefused(NamingError):
+class NameRefusedError(NamingError):
     """The name server did not take a name."""
 
 

@@ -15,8 +15,8 @@ class Naming(Protocol):
         """Register a port; the server fills in what is empty or 0 (the name too: ``/tmp/port/N``).
 
         Raises:
-            NameServerAbsent: nobody answers.
-            NameRefused: the name was not taken.
+            NoNameServerError: nobody answers.
+            NameRefusedError: the name was not taken.
         """
         ...
 
