@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from yarp_compat.naming.contact import Contact
+from yarp_compat.wire.contact import Contact
 
 
 class Naming(Protocol):

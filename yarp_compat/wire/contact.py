@@ -1,4 +1,4 @@
-"""A contact: the name of a port and the address behind it, in the spellings that YARP uses.
+"""Where a port is: its name, its address and the carrier it was registered with; and the names of connections.
 
 Spellings (measured, see the tests): ``/name``, ``tcp://name`` and ``tcp:/name`` (a carrier for the port ``/name``),
 ``tcp://host:10002/``, ``/host:10002/name`` (an address that needs no name server), and the name server's line
@@ -19,19 +19,19 @@ _REFUSED = re.compile(r"[\x00-\x20\x7f\"]")
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Name, carrier and address of a port.
+    """A port's registration at a name server, or as much of it as was said.
 
     Attributes:
-        name: the port's name; empty where only the address is known.
-        carrier: ``tcp`` and its kin; empty where none was said.
-        host: an address or host name; empty where it is not known.
-        port: the TCP (or for mcast UDP) port number; -1 where it is not known.
+        name: the port's registered name, with its leading slash; empty where only the address is known.
+        host: its IP address or host name; empty where it is not known.
+        port: its TCP (for mcast UDP) port number; -1 where it is not known.
+        carrier: the carrier it was registered with; empty where none was said.
     """
 
     name: str
-    carrier: str = ""
     host: str = ""
     port: int = -1
+    carrier: str = "tcp"
 
     @property
     def is_valid(self) -> bool:
@@ -78,9 +78,9 @@ class Contact:
         number = int(found["port"][:6])
         return cls(
             name="" if tail == "/" else tail,
-            carrier=carrier or "tcp",
             host=found["host"],
             port=number if number <= 0xFFFF else -1,
+            carrier=carrier or "tcp",
         )
 
     @classmethod
@@ -92,6 +92,34 @@ class Contact:
         if not words[6].isdigit() or int(words[6]) > 0xFFFF:
             return None
         return cls(name=words[2], carrier=words[8], host=words[4], port=int(words[6]))
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """One connection, in the direction its data flow."""
+
+    source: str
+    target: str
+    carrier: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A port as people name it: ``/name``, ``carrier://name`` or ``carrier:/name``."""
+
+    name: str
+    carrier: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> Place:
+        """Split a name such as ``fast_tcp://reader`` (the port ``/reader``) into its carrier and the port's name."""
+        carrier, found, rest = text.partition(":/")
+        return cls("/" + rest.lstrip("/"), carrier) if found else cls(text)
+
+
+def rooted(name: str) -> bool:
+    """Whether a name is a registered port's; tools that introduce themselves as ``admin`` and the like are not."""
+    return name.startswith("/")
 
 
 def is_port_name(name: str) -> bool:

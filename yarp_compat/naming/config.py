@@ -1,0 +1,192 @@
+"""Where the name server is: YARP's own small files.
+
+``yarp.conf`` in YARP's configuration folder holds one line, ``<address> <port> yarp``; the older form ``[name]``,
+``host X``, ``port N`` is read too. A network other than ``/root`` (its name server's port name, the namespace) has its
+own file: ``_robot.conf`` for ``/robot``. The namespace comes from ``YARP_NAMESPACE`` or ``yarp_namespace.conf``.
+The folders are those of YARP 3 and 4 (``yarp/conf/dirs.h`` and ``NameConfig.cpp`` of robotology/yarp).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ntpath
+import os
+import posixpath
+import re
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from yarp_compat.naming.errors import ConfigError
+from yarp_compat.wire.contact import Contact, is_name
+
+DEFAULT_NAMESPACE = "/root"
+DEFAULT_PORT = 10000
+NAMESPACE_FILE = "yarp_namespace.conf"
+_MAX_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a name server is.
+
+    Attributes:
+        host: its address or host name.
+        port: its TCP port number.
+        mode: what serves there, ``yarp`` but for what only old files say.
+    """
+
+    host: str
+    port: int
+    mode: str = "yarp"
+
+    def contact(self, namespace: str) -> Contact:
+        """The name server's own port."""
+        return Contact(namespace, self.host, self.port)
+
+
+def folder(environment: Mapping[str, str] | None = None, platform: str = sys.platform) -> str:
+    """YARP's configuration folder for this user on this operating system."""
+    env = os.environ if environment is None else environment
+    given = env.get("YARP_CONFIG_HOME")
+    if given:
+        return given
+    if platform == "win32":
+        home = env.get("USERPROFILE") or str(Path.home())
+        return ntpath.join(env.get("APPDATA") or ntpath.join(home, "AppData", "Roaming"), "yarp", "config")
+    home = env.get("HOME") or str(Path.home())
+    if platform == "darwin":
+        return posixpath.join(home, "Library", "Preferences", "yarp")
+    return posixpath.join(env.get("XDG_CONFIG_HOME") or posixpath.join(home, ".config"), "yarp")
+
+
+def namespaces(environment: Mapping[str, str] | None = None) -> list[str]:
+    """The networks to look in, the own one first: of ``YARP_NAMESPACE``, else of the file, else ``/root``.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    env = os.environ if environment is None else environment
+    text = env.get("YARP_NAMESPACE") or _read(Path(folder(env)) / NAMESPACE_FILE)
+    names = [name.strip('"') for name in re.split(r"[\s,]+", text) if name.strip('"')]
+    return names or [DEFAULT_NAMESPACE]
+
+
+def namespace(environment: Mapping[str, str] | None = None) -> str:
+    """The own network's name, which is the port name of its name server."""
+    return namespaces(environment)[0]
+
+
+def write_namespace(name: str, environment: Mapping[str, str] | None = None) -> Path:
+    """Make a network the own one, for programs without ``YARP_NAMESPACE``; returns the file written."""
+    if not is_name(name):
+        msg = f"{name!r} is not a name for a YARP network: write it as /robot, without spaces"
+        raise ConfigError(msg)
+    return _write(Path(folder(environment)) / NAMESPACE_FILE, f"{name}\n")
+
+
+def file(name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
+    """The file that says where the name server of a network is; without a name, that of the own one."""
+    space = namespace(environment) if name is None else name
+    base = "yarp" if space == DEFAULT_NAMESPACE else re.sub(r"[^0-9A-Za-z]", "_", space)
+    return Path(folder(environment)) / f"{base}.conf"
+
+
+def read(name: str | None = None, environment: Mapping[str, str] | None = None) -> Address | None:
+    """Where the name server of a network is; None where no file says it.
+
+    Raises:
+        ConfigError: the file cannot be read, or does not say it in a form that YARP knows.
+    """
+    path = file(name, environment)
+    text = _read(path)
+    if not text.strip():
+        return None
+    try:
+        return parse(text)
+    except ConfigError as err:
+        msg = f"{path}: {err}"
+        raise ConfigError(msg) from None
+
+
+def write(address: Address, name: str | None = None, environment: Mapping[str, str] | None = None) -> Path:
+    """Say where the name server of a network is; returns the file written (whole or not at all)."""
+    return _write(file(name, environment), f"{address.host} {address.port} {address.mode}\n")
+
+
+def parse(text: str) -> Address:
+    """Read either form of the file.
+
+    Raises:
+        ConfigError: it is neither.
+    """
+    words = re.split(r'["\s]+', text.strip().strip('"'))
+    fields = _old_form(text) if words[0].startswith("[") else words
+    if len(fields) < 2 or not fields[0]:
+        msg = f"expected '<address> <port> yarp', for example '127.0.0.1 10000 yarp', not {text.strip()[:80]!r}"
+        raise ConfigError(msg)
+    if not fields[1].isdecimal() or not 0 < int(fields[1]) <= 0xFFFF:
+        msg = f"the port must be a number from 1 to 65535, not {fields[1][:80]!r}"
+        raise ConfigError(msg)
+    return Address(fields[0], int(fields[1]), fields[2] if len(fields) > 2 else "yarp")
+
+
+def _old_form(text: str) -> list[str]:
+    values: dict[str, str] = {}
+    section = ""
+    for line in text.splitlines():
+        words = line.split("//")[0].replace('"', " ").split()
+        if words and words[0].startswith("["):
+            section = words[0].strip("[]")
+        elif len(words) >= 2 and section == "name":
+            values[words[0]] = words[1]
+    if "host" not in values or "port" not in values:
+        return []
+    return [values["host"], values["port"], values.get("mode", "yarp")]
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(_MAX_BYTES + 1)
+    except FileNotFoundError:
+        return ""
+    except OSError as err:
+        msg = f"{path} cannot be read: {err.strerror or err}"
+        raise ConfigError(msg) from None
+    if len(data) > _MAX_BYTES:
+        msg = f"{path} is larger than {_MAX_BYTES} bytes: it is not a file that YARP wrote"
+        raise ConfigError(msg)
+    return data.decode("utf-8", "replace")
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, text.encode())
+    except OSError as err:
+        msg = f"{path} cannot be written: {err.strerror or err}"
+        raise ConfigError(msg) from None
+    return path
+
+
+def replace_file(path: Path, data: bytes) -> None:
+    """Write a file so that a crash at any moment leaves the old one or the new one.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(temporary).chmod(0o644)  # others read it too, as what YARP itself writes
+        Path(temporary).replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            Path(temporary).unlink()
+        raise
