@@ -90,7 +90,7 @@ def test_a_topic_that_does_not_cross_fails_the_demo_and_is_named(folder: Path) -
     code, output, seen = run(folder, "--seconds", "0", "--config", str(config))
     assert code == 1, output
     failed = {(check["name"], check["to"], check["topic"]) for check in seen["checks"] if not check["ok"]}
-    assert failed == {("laser scan", "ROS 2", "/scan"), ("laser scan", "zenoh", "/scan")}
+    assert failed == {("laser scan", "ROS 2", "/scan"), ("laser scan", "zenoh", "/scan")}, output
     assert "2 of " in output
     assert "/scan: ros1" in output, "the worker's own reason is shown"
     assert leftovers(folder) == []
