@@ -1,0 +1,149 @@
+"""What every typed value has: bytes in either profile, text, and YARP's own read and write."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Protocol, Self
+
+from yarp_compat.wire import binary, text
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.writer import Writer
+
+
+class Source(Protocol):
+    """What a value can be read from: YARP's ConnectionReader."""
+
+    @property
+    def reader(self) -> Reader:
+        """Where the value begins."""
+
+
+class Sink(Protocol):
+    """What a value can be written to: YARP's ConnectionWriter."""
+
+    @property
+    def writer(self) -> Writer:
+        """Where the value goes."""
+
+
+class Portable(ABC):
+    """A value that crosses ports."""
+
+    TYPE: ClassVar[str] = ""
+    """The name under which YARP's ports announce it; empty where YARP has none."""
+
+    @abstractmethod
+    def _write(self, out: Writer) -> None:
+        """Put the value's elements on the wire."""
+
+    @abstractmethod
+    def _read(self, source: Reader) -> None:
+        """Become what comes next.
+
+        Raises:
+            WireError: it is something else; the value stays what it was.
+        """
+
+    def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
+        """The value's bytes in pieces, large arrays uncopied: they must stay unchanged until they are sent."""
+        out = Writer(profile, generation)
+        self._write(out)
+        return out.buffers()
+
+    def to_bytes(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> bytes:
+        """The value's bytes in one piece.
+
+        Raises:
+            WireError: the value does not fit YARP's type.
+        """
+        out = Writer(profile, generation)
+        self._write(out)
+        return out.payload()
+
+    def from_wire(self, data: Buffer, profile: Profile | None = None) -> None:
+        """Become what a whole payload holds.
+
+        Args:
+            data: the payload; arrays stay views into it.
+            profile: whose bytes they are; by default both are tried, YARP 3 first.
+
+        Raises:
+            WireError: it is something else; the value stays what it was.
+        """
+        if profile is not None:
+            self._whole(data, profile)
+            return
+        try:
+            self._whole(data, Profile.YARP3)
+        except WireError as first:
+            try:
+                self._whole(data, Profile.YARP4)
+            except WireError as second:
+                raise second if _newer(data) else first from None
+
+    @classmethod
+    def from_bytes(cls, payload: Buffer, profile: Profile | None = None) -> Self:
+        """A value from a whole payload, see :meth:`from_wire`."""
+        value = cls()
+        value.from_wire(payload, profile)
+        return value
+
+    def to_values(self) -> list[Any]:
+        """The value as a Bottle's content."""
+        return binary.decode(self.to_bytes(Profile.YARP4), Profile.YARP4)
+
+    def from_values(self, values: list[Any]) -> None:
+        """Become what a Bottle of this content holds.
+
+        Raises:
+            WireError: it is something else; the value stays what it was.
+        """
+        self.from_wire(binary.encode(values, Profile.YARP4), Profile.YARP4)
+
+    def to_text(self) -> str:
+        """The value as a line of a text carrier."""
+        return text.to_text(self.to_values())
+
+    def from_text(self, line: str) -> None:
+        """Become what a line of a text carrier says.
+
+        Raises:
+            WireError: it says something else; the value stays what it was.
+        """
+        self.from_values(text.from_text(line))
+
+    def write(self, connection: Sink) -> bool:
+        """Put the value on a connection; False where it cannot be written."""
+        try:
+            self._write(connection.writer)
+        except WireError:
+            return False
+        return True
+
+    def read(self, connection: Source) -> bool:
+        """Become what a connection holds next; False where that is something else."""
+        try:
+            self._read(connection.reader)
+        except WireError:
+            return False
+        return True
+
+    def _whole(self, data: Buffer, profile: Profile) -> None:
+        source = Reader(data, profile)
+        value = type(self)()
+        value._read(source)
+        source.finish()
+        self._become(value)
+
+    def _become(self, other: Self) -> None:
+        """Take over another value's content."""
+        self.__dict__.update(other.__dict__)
+
+
+def _newer(data: Buffer) -> bool:
+    """Whether the first tag of a payload is one that only YARP 4 writes."""
+    return bytes(memoryview(data)[:2]) in (b"\x14\x01", b"\x12\x01")
