@@ -16,20 +16,19 @@ from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate
+from bridge.routing.backlog import Backlog
 from bridge.routing.joint import Joint
 from bridge.routing.lane import Lane
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import BULK, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
 _log = logging.getLogger(__name__)
 
-MAX_PENDING = 64
-"""Messages kept from sources that are on the graph but not yet known to the route (its first, latched ones)."""
-
 PENDING_SECONDS = 5.0
+"""How long a message of a publisher that is not known to the route waits for it."""
 
 
 @dataclass(slots=True)
@@ -72,7 +71,9 @@ class InRoute(Route):
         self._static: StaticTransforms | None = None
         self._static_publisher: HubPublisher | None = None
         self._static_lock = threading.Lock()
-        self._pending: dict[str, tuple[float, bytes, int | None]] = {}
+        self._pending = Backlog[tuple[bytes, int | None]](
+            MAX_PENDING, QUEUE_BYTES, lambda: self.counters.dropped("queue")
+        )
         self._subscription: EdgeSubscription | None = None
         self._qos = Qos()
         self._limit = RateLimit(decision.rate) if decision.rate else None
@@ -131,7 +132,7 @@ class InRoute(Route):
 
     def _remove(self, source: str) -> None:
         known = self._sources.pop(source)
-        self._pending.pop(source, None)
+        self._pending.take(lambda waiting: waiting.source == source)
         if known.publisher is self._static_publisher:
             return
         if known.publisher is not self._shared:
@@ -157,13 +158,12 @@ class InRoute(Route):
         self._subscription = self._joint.edge.subscribe(self.key.topic, self.conversion.source, wish, self._deliver)
 
     def _flush_pending(self) -> None:
-        now = time.monotonic()
-        for source, (since, payload, time_ns) in list(self._pending.items()):
-            if source in self._sources:
-                del self._pending[source]
-                self._deliver(payload, source, time_ns)
-            elif now - since > PENDING_SECONDS:
-                del self._pending[source]
+        before = time.monotonic() - PENDING_SECONDS
+        for waiting in self._pending.take(lambda w: w.source in self._sources or w.since < before):
+            if waiting.source in self._sources:
+                payload, time_ns = waiting.message
+                self._deliver(payload, str(waiting.source), time_ns)
+            else:
                 self.counters.dropped("unknown")
 
     def _deliver(self, payload: bytes, source: str, time_ns: int | None) -> None:
@@ -173,11 +173,11 @@ class InRoute(Route):
             counters.dropped("standby")
             return
         if known is None:
-            # On the graph for the edge, not yet for us: keep the newest, the engine comes back with `update`.
-            if self._priority is Priority.COMMAND or len(self._pending) >= MAX_PENDING:
+            # On the graph for the edge, not yet for us: the newest waits until the engine comes back with `update`.
+            if self._priority is Priority.COMMAND:
                 counters.dropped("unknown")  # a command is never kept for later
             else:
-                self._pending[source] = (time.monotonic(), payload, time_ns)
+                counters.dropped("unknown", self._pending.keep(source, (payload, time_ns), len(payload), depth=1))
             self._joint.wake()
             return
         if self._priority is Priority.COMMAND and self._stale(known, time_ns):

@@ -18,16 +18,19 @@ from bridge.hub.subscription import HubSample, HubSubscription
 from bridge.messages.conversion import Conversion
 from bridge.messages.errors import MessageError
 from bridge.routing.age import AgeGate
+from bridge.routing.backlog import Backlog
 from bridge.routing.joint import Joint
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import BULK, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
 _log = logging.getLogger(__name__)
 
-MAX_PENDING = 64
+PENDING_SECONDS = 2.0
+"""How long a message of a publisher that is not known to the route waits for it."""
+
 _STATIC = "static transforms"
 
 
@@ -64,13 +67,13 @@ class OutRoute(Route):
         self._sources: dict[bytes, _Source] = {}
         self._refused: frozenset[bytes] = frozenset()
         self._waiting: dict[bytes, HubEndpoint] = {}
-        self._kept: dict[bytes, deque[HubSample]] = {}
+        self._kept = Backlog[HubSample](QUEUE_DEPTH[Priority.STATE], QUEUE_BYTES, self._crowded_out)
         self._natives: dict[str, _Source] = {}
         self._queue: deque[HubSample] = deque()
         self._queued_bytes = 0
         self._lock = threading.Lock()
         self._publishing = threading.Lock()
-        self._pending: deque[tuple[float, HubSample]] = deque(maxlen=MAX_PENDING)
+        self._pending = Backlog[HubSample](MAX_PENDING, QUEUE_BYTES, self._crowded_out)
         self._latched: EdgePublisher | None = None
         self._volatile: EdgePublisher | None = None
         self._subscription: HubSubscription | None = None
@@ -206,38 +209,39 @@ class OutRoute(Route):
             if self._priority is Priority.COMMAND:  # never kept for later
                 self.counters.dropped("unknown")
             else:
-                self._pending.append((time.monotonic(), sample))
+                self._pending.add(sample.gid, sample, len(sample.payload))
             self._joint.wake()
 
+    def _crowded_out(self) -> None:
+        self.counters.dropped("queue")
+
     def _keep(self, sample: HubSample, endpoint: HubEndpoint) -> None:
-        if sample.gid in self._kept or len(self._kept) < MAX_PENDING:
-            depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
-            self._kept.setdefault(sample.gid, deque(maxlen=depth)).append(sample)
+        depth = min(max(endpoint.qos.depth, 1), MAX_PENDING)
+        self._kept.keep(sample.gid, sample, len(sample.payload), depth)
 
     def _release_kept(self) -> None:
         if self._joint.lease.over:
             return
-        for gid in [g for g in self._kept if g not in self._waiting]:
-            source, samples = self._sources.get(gid), self._kept.pop(gid)
+        for waiting in self._kept.take(lambda w: w.source not in self._waiting):
+            source = self._sources.get(waiting.message.gid)
             if source is not None:
                 with self._publishing:
-                    for sample in samples:
-                        self._publish(sample, source)
+                    self._publish(waiting.message, source)
 
     def _retry_pending(self) -> None:
-        now = time.monotonic()
-        for _ in range(len(self._pending)):
-            since, sample = self._pending.popleft()
+        before = time.monotonic() - PENDING_SECONDS
+        for pending in self._pending.take(lambda _: True):
+            sample = pending.message
             source = self._source_of(sample)
-            waiting = self._waiting.get(sample.gid)
+            endpoint = self._waiting.get(sample.gid)
             if source is not None:
                 with self._publishing:
                     self._publish(sample, source)
-            elif waiting is not None:
-                if self._is_latched(waiting):
-                    self._keep(sample, waiting)
-            elif sample.gid not in self._refused and now - since < 2.0:
-                self._pending.append((since, sample))
+            elif endpoint is not None:
+                if self._is_latched(endpoint):
+                    self._keep(sample, endpoint)
+            elif sample.gid not in self._refused and pending.since > before:
+                self._pending.put_back(pending)
             elif sample.gid not in self._refused:
                 self.counters.dropped("unknown")
 

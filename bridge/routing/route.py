@@ -28,8 +28,10 @@ BULK = 64 * 1024
 """Bytes from which a message is carried by other threads than small ones, so that it delays none of them."""
 
 QUEUE_BYTES = 64 * 1024 * 1024
-"""Bytes that wait in one route's queue at most."""
+"""Bytes that wait in one route's queue at most, but for the newest message."""
 
+MAX_PENDING = 64
+"""Messages that wait at most for their publisher to be known; the same room of bytes."""
 
 _BYTES = re.compile(r"^[ \t]*(?:u?int8|byte|char|octet)\[\][ \t]", re.MULTILINE)
 

@@ -1,0 +1,55 @@
+"""Messages that wait for their publisher: bounded in number and in bytes, with every one that makes room counted."""
+
+from __future__ import annotations
+
+from bridge.routing.backlog import Backlog, Waiting
+
+
+class Line:
+    """A backlog, and how many made room in it."""
+
+    def __init__(self, most: int, room: int) -> None:
+        self.dropped = 0
+        self.backlog: Backlog[str] = Backlog(most, room, self._drop)
+
+    def _drop(self) -> None:
+        self.dropped += 1
+
+    def taken(self) -> list[str]:
+        return [waiting.message for waiting in self.backlog.take(lambda _: True)]
+
+
+def test_the_oldest_make_room_by_number() -> None:
+    line = Line(most=2, room=1000)
+    for message in ("a", "b", "c"):
+        line.backlog.add("source", message, 10)
+    assert (line.dropped, line.taken()) == (1, ["b", "c"])
+
+
+def test_the_oldest_make_room_by_bytes_and_the_newest_has_its_place() -> None:
+    line = Line(most=100, room=25)
+    for message in ("a", "b", "c"):
+        line.backlog.add("source", message, 10)
+    assert line.dropped == 1
+    line.backlog.add("source", "map", 1000)
+    assert (line.dropped, line.taken()) == (3, ["map"])
+    line.backlog.add("source", "d", 25)
+    assert (line.dropped, line.taken()) == (3, ["d"]), "what was taken out leaves its room"
+
+
+def test_a_publisher_keeps_its_newest() -> None:
+    line = Line(most=100, room=30)
+    gone = [line.backlog.keep(source, message, 10, depth=2) for source, message in ("xa", "yb", "xc", "xd")]
+    assert (gone, line.dropped, line.taken()) == ([0, 0, 0, 1], 0, ["b", "c", "d"])
+
+
+def test_only_what_is_wanted_is_taken_and_what_is_put_back_keeps_its_age() -> None:
+    line = Line(most=100, room=1000)
+    for source, message in ("xa", "yb", "xc"):
+        line.backlog.add(source, message, 1)
+    (waiting,) = line.backlog.take(lambda w: w.source == "y")
+    assert (waiting.message, len(line.backlog)) == ("b", 2)
+    old = Waiting("y", "old", 1, since=0.0)
+    line.backlog.put_back(old)
+    assert [w.message for w in line.backlog.take(lambda w: w.since < 1.0)] == ["old"]
+    assert line.taken() == ["a", "c"]
