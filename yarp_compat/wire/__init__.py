@@ -1,0 +1,1 @@
+"""YARP's wire formats: bytes in, values out. No sockets and no threads here."""

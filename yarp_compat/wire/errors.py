@@ -1,0 +1,16 @@
+"""What may be wrong with bytes or texts from the network.
+
+- ValueError
+    - WireError: these bytes mean nothing, or the values cannot be written
+        - Incomplete: they may be right, but stop early
+"""
+
+from __future__ import annotations
+
+
+class WireError(ValueError):
+    """Bytes that are no YARP message, or values that no YARP message can hold; the text says what and where."""
+
+
+class Incomplete(WireError):  # noqa: N818 - it need not be an error: more may come
+    """The bytes end before the message does."""

@@ -1,0 +1,42 @@
+"""The numbers that tell a Bottle's elements apart, for each profile.
+
+An element's tag says its type; a list's tag says, in its lower byte, the type of all its elements where they are of one
+(`yarp/os/Bottle.h`, `yarp/os/impl/Storable.h`). Sizes are those of what follows the tag.
+"""
+
+from __future__ import annotations
+
+from yarp_compat.wire.profile import Profile
+
+INT8 = 32
+INT16 = 64
+INT32 = 1
+INT64 = 17
+VOCAB32 = 9
+VOCAB64 = 18
+STRING = 4
+BLOB = 12
+LIST = 256
+DICT = 512
+
+UNIT = 255
+"""The part of a list's tag that is the tag of its elements."""
+
+MAX_DEPTH = 256
+"""How deep lists may be nested."""
+
+_SIZES = {INT8: 1, INT16: 2, INT32: 4, INT64: 8, VOCAB32: 4}
+_FORMATS = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}
+
+
+def sizes(profile: Profile) -> dict[int, int]:
+    """Bytes of each type of fixed size."""
+    found = {**_SIZES, profile.float32_tag: 4, profile.float64_tag: 8}
+    if profile.vocab64_tag is not None:
+        found[profile.vocab64_tag] = 8
+    return found
+
+
+def formats(profile: Profile) -> dict[int, str]:
+    """The format character (of `struct` and of numpy's types) of each type of number."""
+    return {**_FORMATS, profile.float32_tag: "f", profile.float64_tag: "d"}

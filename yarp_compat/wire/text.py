@@ -1,0 +1,205 @@
+r"""The text form of Bottles, which people type, text carriers carry and envelopes and name servers use.
+
+Separators are space, tab, newline, carriage return and comma. ``(...)`` is a list, ``{1 2 255}`` a blob, ``[word]`` a
+vocab, ``"..."`` a string with the escapes ``\\ \" \n \r \0``; what else stands alone is a number, ``true``, ``false``,
+``null`` or a string (`yarp/os/impl/BottleImpl.cpp` and `Storable.cpp`; measured on YARP 4.0). YARP refuses no text:
+what is not closed at its end is lost, and so it is here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+from collections.abc import Iterable
+from typing import Any
+
+from yarp_compat.wire.decoder import vocab32, vocab64
+from yarp_compat.wire.encoder import entries_of, plain
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.number_text import number
+from yarp_compat.wire.tags import MAX_DEPTH
+from yarp_compat.wire.values import Float32, Vocab, Vocab64
+
+LARGEST_WORK = 64 << 20
+"""Characters looked at beyond a text's own: each level of nesting looks at its own once more."""
+
+_MARK = re.compile(r'\\.|[ \t\n\r,"(){}]', re.DOTALL)
+_SEPARATORS = " \t\n\r,"
+_LISTS = {"(": 1, ")": -1}
+_BLOBS = {"{": 1, "}": -1}
+_NUMERIC = frozenset("0123456789+-.in")
+_TRUTHS: dict[str, Any] = {"true": True, "false": False}
+_NAMES: dict[str, Any] = {**_TRUTHS, "null": Vocab("null")}
+_ESCAPE = re.compile(r"\\(.?)", re.DOTALL)
+_ESCAPED = {"n": "\n", "r": "\r", "0": "\0"}
+
+_PLAIN_WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9.\-]*")
+_PLAIN_NUMBERS = re.compile(r"[0-9 ]*")
+_ESCAPES = str.maketrans({"\n": "\\n", "\r": "\\r", "\0": "\\0", "\\": "\\\\", '"': '\\"'})
+
+
+def from_text(text: str) -> list[Any]:
+    """The values of a Bottle's text.
+
+    Raises:
+        WireError: lists are nested too deep, or so that it would take too long.
+    """
+    return _Reader(text).values(text, 0)
+
+
+def is_complete(text: str) -> bool:
+    """Whether brackets and quotes are closed: else a text carrier's text goes on in the next line."""
+    return _split(text)[1]
+
+
+def to_text(values: Iterable[Any]) -> str:
+    """The text of a Bottle of these values.
+
+    Raises:
+        WireError: there is a value that no Bottle can hold.
+    """
+    return _joined(values, 0)
+
+
+def value_text(value: Any) -> str:
+    """The text of one value as it stands in a Bottle: strings quoted where they must be, lists in brackets."""
+    return _printed(value, 0)
+
+
+def plain_text(value: Any) -> str:
+    """The text of one value alone: strings, vocabs, blobs and lists without what marks them in a Bottle."""
+    if isinstance(value, str) and not isinstance(value, Vocab):
+        return value
+    text = value_text(value)
+    return text[1:-1] if text[0] in "([{" else text
+
+
+class _Reader:
+    """Reads one text, and counts what it takes."""
+
+    def __init__(self, text: str) -> None:
+        self._left = LARGEST_WORK + len(text)
+
+    def values(self, text: str, depth: int) -> list[Any]:
+        """The values of a list's text without its brackets."""
+        self._left -= len(text)
+        if depth > MAX_DEPTH or self._left < 0:
+            raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH}, or too deep for its length")
+        return [self._value(word, depth) for word in _split(text)[0]]
+
+    def _value(self, word: str, depth: int) -> Any:
+        if word in _NAMES:
+            return _NAMES[word]
+        first = word[0]
+        if first == "(":
+            return self.values(word[1:-1], depth + 1)
+        if first == "[":
+            return _read_vocab(word[1:-1])
+        if first == "{":
+            return self._blob(word[1:-1], depth)
+        if first in _NUMERIC and (found := number(word)) is not None:
+            return found
+        text = word[1:-1] if first == '"' else word
+        if "\\" in text:
+            text = _ESCAPE.sub(lambda match: _ESCAPED.get(match[1], match[1]), text)
+            if first != '"':
+                return _TRUTHS.get(text, text)
+        return text
+
+    def _blob(self, text: str, depth: int) -> bytes:
+        if _PLAIN_NUMBERS.fullmatch(text):
+            with contextlib.suppress(ValueError):
+                return bytes(map(int, text.split()))
+        return bytes([_low_byte(value) for value in self.values(text, depth + 1)])
+
+
+def _split(text: str) -> tuple[list[str], bool]:
+    """The words of a text at its outermost level, and whether all that was opened in it is closed."""
+    words: list[str] = []
+    begun = -1
+    quoted = False
+    lists = blobs = done = 0
+    for mark in _MARK.finditer(text + " "):
+        at, char = mark.start(), mark[0]
+        if begun < 0 and at > done:
+            begun = done
+        done = mark.end()
+        if char in _SEPARATORS:
+            if begun >= 0 and not (quoted or lists or blobs):
+                words.append(text[begun:at])
+                begun = -1
+            continue
+        if begun < 0:
+            begun = at
+        if char == '"':
+            quoted = not quoted
+        elif not quoted:
+            lists += _LISTS.get(char, 0)
+            blobs += _BLOBS.get(char, 0)
+    return words, not (quoted or lists or blobs)
+
+
+def _read_vocab(letters: str) -> Vocab | bool:
+    data = letters.encode(errors="surrogateescape")
+    if len(data) > 4:
+        return vocab64(int.from_bytes(data[:8].ljust(8, b"\0"), "little", signed=True))
+    return vocab32(int.from_bytes(data.ljust(4, b"\0"), "little", signed=True))
+
+
+def _low_byte(value: Any) -> int:
+    """The byte of a blob that one of its words says."""
+    if value is True:
+        return 0x31
+    if isinstance(value, Vocab):
+        return value.encode(errors="surrogateescape")[0]
+    if isinstance(value, float):
+        return int(value) & 255 if abs(value) < 2**31 else 0
+    return value & 255 if isinstance(value, int) else 0
+
+
+def _joined(values: Iterable[Any], depth: int) -> str:
+    if depth > MAX_DEPTH:
+        raise WireError(f"lists are nested deeper than {MAX_DEPTH}")
+    return " ".join([_printed(value, depth) for value in values])
+
+
+def _printed(value: Any, depth: int) -> str:
+    kind = type(value)
+    if kind is float:
+        return _print_float(value)
+    if kind is str:
+        plainly = _PLAIN_WORD.fullmatch(value) and value not in _TRUTHS
+        return value if plainly else f'"{value.translate(_ESCAPES)}"'
+    if kind is int:
+        return str(value)
+    if kind is bool:
+        return "true" if value else "false"
+    if kind is list or kind is tuple:
+        return f"({_joined(value, depth + 1)})"
+    if kind is Vocab or kind is Vocab64:
+        letters = value.replace("\0", "")
+        return f"[{letters}]" if letters not in ("", "1") else "true" if letters else "false"
+    if kind is bytes:
+        return "{" + " ".join(map(str, value)) + "}"
+    if kind is dict:
+        return f"({_joined(entries_of(value), depth + 1)})"
+    if kind is Float32:
+        return _print_float(_rounded(value))
+    if isinstance(value, int):
+        return int.__repr__(value)
+    made = plain(value)
+    return f"({_joined(made, depth + 1)})" if hasattr(made, "dtype") else _printed(made, depth)
+
+
+def _print_float(value: float) -> str:
+    text = f"{value:.21g}"
+    return text if "." in text or "e" in text or "n" in text else text + ".0"
+
+
+def _rounded(value: float) -> float:
+    """A float as four bytes hold it."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        raise WireError(f"{value!r} is too large for four bytes") from None
