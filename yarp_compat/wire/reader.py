@@ -169,11 +169,8 @@ class Reader:
         self.at = end
         return self.data[at:end]
 
-    def array(self, size: int) -> tuple[int, int, memoryview | None]:
-        """A list of numbers, whose bytes are taken uncopied where it says once that each has a given size.
-
-        Args:
-            size: bytes of each.
+    def numbers(self) -> tuple[int, int, memoryview | None]:
+        """A list of numbers, whose bytes are taken at once and uncopied where it says the type of all of them.
 
         Returns:
             the elements' tag, how many there are, and their bytes; None where the list must be read element by
@@ -181,11 +178,12 @@ class Reader:
         """
         count = self.begin()
         tag = self._code
-        if tag and _SIZES[self.profile].get(tag) == size:
-            data = self.block(size * count)
-            self.leave()
-            return tag, count, data
-        return tag, count, None
+        size = _SIZES[self.profile].get(tag)
+        if size is None:
+            return tag, count, None
+        data = self.block(size * count)
+        self.leave()
+        return tag, count, data
 
     def _tag(self) -> int:
         if not self._left:
