@@ -1,0 +1,185 @@
+"""``Log`` as the Python bindings have it: ``yarp.Log().info("...")``, in the format of YARP's own lines.
+
+The format (``[INFO] |component| text``), the streams and the environment variables are those of
+src/libYARP_os/src/yarp/os/Log.cpp: trace, debug and info go to standard output, the rest to standard error. YARP's own
+messages (ports that open, connections that come and go) go through Python's ``logging`` under ``yarp_compat``.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+
+_lock = threading.Lock()
+
+
+class LogType(IntEnum):
+    """How grave a message is."""
+
+    LogTypeUnknown = 0
+    TraceType = 1
+    DebugType = 2
+    InfoType = 3
+    WarningType = 4
+    ErrorType = 5
+    FatalType = 6
+    LogTypeReserved = 255
+
+
+_WORDS = {
+    LogType.TraceType: "TRACE",
+    LogType.DebugType: "DEBUG",
+    LogType.InfoType: "INFO",
+    LogType.WarningType: "WARNING",
+    LogType.ErrorType: "ERROR",
+    LogType.FatalType: "FATAL",
+}
+_COLOURS = {
+    LogType.TraceType: "\033[01;37m",
+    LogType.DebugType: "\033[01;32m",
+    LogType.InfoType: "\033[01;34m",
+    LogType.WarningType: "\033[01;33m",
+    LogType.ErrorType: "\033[01;31m",
+    LogType.FatalType: "\033[01;37m\033[41m",
+}
+
+
+def enabled(environment: Mapping[str, str], name: str, *, default: bool) -> bool:
+    """Whether a switch of YARP's is on: ``1``, ``true``, ``on``, ``yes``; anything else is off."""
+    value = environment.get(name, "")
+    return value.lower() in ("1", "true", "on", "yes") if value else default
+
+
+def line(kind: LogType, text: str, component: str = "", *, colour: bool = False) -> str:
+    """One line as YARP prints it."""
+    word = _WORDS[kind]
+    shown = f"{_COLOURS[kind]}{word}\033[00m" if colour else word
+    return f"[{shown}] |{component}| {text}" if component else f"[{shown}] {text}"
+
+
+PrintCallback = Callable[[LogType, str, str], None]
+
+
+def _print(kind: LogType, text: str, component: str) -> None:
+    stream = sys.stdout if kind <= LogType.InfoType else sys.stderr
+    out = line(kind, text, component, colour=enabled(os.environ, "YARP_COLORED_OUTPUT", default=False))
+    if enabled(os.environ, "YARP_VERBOSE_OUTPUT", default=False):
+        out = f"[{time.time():.6f}] {out}"
+    with _lock:
+        print(out, file=stream, flush=True)
+
+
+def _first_level() -> LogType:
+    if not enabled(os.environ, "YARP_DEBUG_ENABLE", default=True):
+        return LogType.InfoType
+    return LogType.TraceType if enabled(os.environ, "YARP_TRACE_ENABLE", default=False) else LogType.DebugType
+
+
+class Log:
+    """Prints messages: ``yarp.Log().info("speed %f", 0.3)``, and straight on the class too: ``yarp.Log.info("...")``.
+
+    ``fatal`` prints and ends the program with status 1 (the C++ library aborts).
+    """
+
+    LogTypeUnknown = LogType.LogTypeUnknown
+    TraceType = LogType.TraceType
+    DebugType = LogType.DebugType
+    InfoType = LogType.InfoType
+    WarningType = LogType.WarningType
+    ErrorType = LogType.ErrorType
+    FatalType = LogType.FatalType
+    LogTypeReserved = LogType.LogTypeReserved
+
+    _minimum = _first_level()
+    _callback: PrintCallback = staticmethod(_print)
+
+    @classmethod
+    def trace(cls, text: str, *values: object) -> None:
+        """Print for whoever follows each step; not shown unless ``YARP_TRACE_ENABLE`` is 1."""
+        cls._say(LogType.TraceType, text, values)
+
+    @classmethod
+    def debug(cls, text: str, *values: object) -> None:
+        """Print for developers; not shown when ``YARP_DEBUG_ENABLE`` is 0."""
+        cls._say(LogType.DebugType, text, values)
+
+    @classmethod
+    def info(cls, text: str, *values: object) -> None:
+        """Print what users want to know."""
+        cls._say(LogType.InfoType, text, values)
+
+    @classmethod
+    def warning(cls, text: str, *values: object) -> None:
+        """Print what may be wrong."""
+        cls._say(LogType.WarningType, text, values)
+
+    @classmethod
+    def error(cls, text: str, *values: object) -> None:
+        """Print what is wrong."""
+        cls._say(LogType.ErrorType, text, values)
+
+    @classmethod
+    def fatal(cls, text: str, *values: object) -> None:
+        """Print, and end the program.
+
+        Raises:
+            SystemExit: always.
+        """
+        cls._say(LogType.FatalType, text, values)
+        raise SystemExit(1)
+
+    @classmethod
+    def setMinimumPrintLevel(cls, level: int) -> None:
+        """Print nothing less grave than this."""
+        cls._minimum = LogType(level)
+
+    @classmethod
+    def minimumPrintLevel(cls) -> LogType:
+        """The least grave messages that are printed."""
+        return cls._minimum
+
+    @classmethod
+    def setPrintCallback(cls, callback: PrintCallback) -> None:
+        """Have ``callback(type, text, component)`` print instead."""
+        cls._callback = staticmethod(callback)
+
+    @classmethod
+    def defaultPrintCallback(cls) -> PrintCallback:
+        """The callback that prints to the terminal."""
+        return _print
+
+    @classmethod
+    def _say(cls, kind: LogType, text: str, values: tuple[object, ...], component: str = "") -> None:
+        if kind >= cls._minimum:
+            cls._callback(kind, str(text) % values if values else str(text), component)
+
+
+class LogHandler(logging.Handler):
+    """Prints the records of ``logging`` as YARP prints its own, for a script that set up no logging."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record."""
+        kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)
+        Log._say(kind, record.getMessage(), (), record.name.replace("yarp_compat", "yarp"))
+
+
+_LEVELS = (
+    (logging.ERROR, LogType.ErrorType),
+    (logging.WARNING, LogType.WarningType),
+    (logging.INFO, LogType.InfoType),
+    (logging.DEBUG, LogType.DebugType),
+)
+
+
+def print_as_yarp() -> None:
+    """Print the library's own messages in YARP's format, if the program has set up no logging of its own."""
+    logger = logging.getLogger("yarp_compat")
+    if logger.handlers or logging.getLogger().handlers:
+        return
+    logger.addHandler(LogHandler())
+    logger.setLevel(logging.INFO)

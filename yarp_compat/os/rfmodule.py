@@ -1,0 +1,240 @@
+"""``RFModule``: a program that is configured, updated at its period, answers commands, and stops when it is told to."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import threading
+import time
+from types import FrameType
+from typing import Any
+
+from yarp_compat.os.bottle import Bottle
+from yarp_compat.os.connection import ConnectionReader, PortReader
+
+from yarp_compat.os.resource_finder import ResourceFinder
+
+log = logging.getLogger(__name__)
+
+_QUIT = ("quit", "exit", "bye")
+_FORCED = 4
+"""The signal that ends a program at once whose module does not stop."""
+
+
+class RFModule:
+    """Derive from it; ``updateModule`` is what it does.
+
+    Example::
+
+        class Follower(yarp.RFModule):
+            def configure(self, rf):
+                self.port = yarp.BufferedPortBottle()
+                return self.port.open(rf.check("name", yarp.Value("/follower")).asString() + "/target:i")
+
+            def getPeriod(self):
+                return 0.1
+
+            def updateModule(self):
+                target = self.port.read(False)
+                return True
+
+            def interruptModule(self):
+                self.port.interrupt()
+                return True
+
+            def close(self):
+                self.port.close()
+                return True
+
+        rf = yarp.ResourceFinder()
+        rf.configure(sys.argv)
+        sys.exit(Follower().runModule(rf))
+
+    SIGINT and SIGTERM stop the module cleanly: ``interruptModule`` is called, the loop ends, ``close`` is called. The
+    fourth signal ends the program at once.
+    """
+
+    def __init__(self) -> None:
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._ran = False
+        self._name = ""
+        self._responder = _Responder(self)
+        self._signals = 0
+
+    def configure(self, rf: ResourceFinder) -> bool:
+        """Prepare; False ends the module."""
+        del rf
+        return True
+
+    def updateModule(self) -> bool:
+        """Do one round; False ends the module."""
+        msg = f"{type(self).__name__} has no updateModule"
+        raise NotImplementedError(msg)
+
+    def getPeriod(self) -> float:
+        """The time from one round to the next, in seconds."""
+        return 1.0
+
+    def respond(self, command: Bottle, reply: Bottle) -> bool:
+        """Answer a command; False when it was not understood."""
+        return self._basic_respond(command, reply)
+
+    def interruptModule(self) -> bool:
+        """Let ports go that a round may be waiting on."""
+        return True
+
+    def close(self) -> bool:
+        """Put everything away."""
+        return True
+
+    def attach(self, source: Any) -> bool:
+        """Have ``respond`` answer what comes to this Port or RpcServer."""
+        source.setReader(self._responder)
+        return True
+
+    attach_rpc_server = attach
+
+    def attachTerminal(self) -> bool:
+        """Have ``respond`` answer what is typed, until the module stops or input ends."""
+        threading.Thread(target=self._read_terminal, name="yarp-terminal", daemon=True).start()
+        return True
+
+    def detachTerminal(self) -> bool:
+        """Leave the terminal: its thread ends with the module."""
+        return True
+
+    def safeRespond(self, command: Bottle, reply: Bottle) -> bool:
+        """`respond`, and where that does not understand, ``quit`` and its kin."""
+        return bool(self.respond(command, reply)) or self._basic_respond(command, reply)
+
+    def runModule(self, rf: ResourceFinder | None = None) -> int:
+        """Configure (when given a finder), then run until stopped.
+
+        Returns:
+            0 after a clean stop; 1 when configuring failed or the module ran before.
+        """
+        if self._ran:
+            return 1
+        if rf is not None and not self.configure(rf):
+            log.info("RFModule failed to open.")
+            return 1
+        self._ran = True
+        before = self._catch_signals()
+        try:
+            self._loop()
+            log.info("RFModule closing.")
+            self.close()
+            log.info("RFModule finished.")
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        return 0
+
+    def runModuleThreaded(self, rf: ResourceFinder | None = None) -> int:
+        """Run in a thread of its own; returns 0 once that runs, 1 when configuring failed."""
+        if self._ran or self._thread is not None:
+            return 1
+        if rf is not None and not self.configure(rf):
+            log.error("RFModule failed to open.")
+            return 1
+        self._thread = threading.Thread(target=self.runModule, name=f"yarp-module{self._name}", daemon=True)
+        self._thread.start()
+        return 0
+
+    def joinModule(self, seconds: float = -1) -> bool:
+        """Wait until the module's thread ended, at most so long (negative: without a limit)."""
+        if self._thread is None:
+            log.warning("Cannot call join: RFModule runModule() is not currently threaded.")
+            return True
+        self._thread.join(None if seconds < 0 else seconds)
+        if self._thread.is_alive():
+            log.warning("RFModule joinModule() timed out.")
+            return False
+        self._thread = None
+        return True
+
+    def stopModule(self, wait: bool = False) -> None:
+        """End the loop after the round that runs."""
+        self._stop.set()
+        if not self.interruptModule():
+            log.error("interruptModule() returned an error there could be problems shutting down the module.")
+        if wait:
+            self.joinModule()
+
+    def isStopping(self) -> bool:
+        """Whether the module was told to stop."""
+        return self._stop.is_set()
+
+    def getName(self, subName: str = "") -> str:
+        """The module's name, with a sub-name behind it."""
+        if subName and not subName.startswith("/"):
+            log.warning('subName %s in getName() does not begin with "/": it is added', subName)
+            subName = f"/{subName}"
+        return self._name + subName
+
+    def setName(self, name: str) -> None:
+        """Name the module."""
+        self._name = name
+
+    def _loop(self) -> None:
+        while not self.isStopping():
+            began = time.monotonic()
+            if not self.updateModule():
+                return
+            rest = self.getPeriod() - (time.monotonic() - began)
+            # Waiting on the event, a module of a long period stops at once.
+            self._stop.wait(max(rest, 0))
+
+    def _basic_respond(self, command: Bottle, reply: Bottle) -> bool:
+        if command.get(0).toString().strip("[]") in _QUIT:
+            reply.addVocab32("bye")
+            self.stopModule(False)
+            return True
+        reply.addString("command not recognized")
+        return False
+
+    def _read_terminal(self) -> None:
+        log.info('Listening to terminal (type "quit" to stop module).')
+        for line in sys.stdin:
+            reply = Bottle()
+            if self.safeRespond(Bottle(line), reply):
+                log.info("%s", reply.toString())
+            else:
+                log.info("Command not understood -- %s.", line.strip())
+            if self.isStopping():
+                return
+
+    def _catch_signals(self) -> dict[int, Any]:
+        if threading.current_thread() is not threading.main_thread():
+            return {}  # only the main thread may; a module in a thread is stopped by its program
+        return {number: signal.signal(number, self._on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        self._signals += 1
+        if self._signals >= _FORCED:
+            log.error("Aborting: told to stop %d times", self._signals)
+            raise SystemExit(128 + number)
+        log.info("[try %d of %d] Trying to shut down.", self._signals, _FORCED - 1)
+        self.stopModule(False)
+
+
+class _Responder(PortReader):
+    """Hands what comes to a port to the module's `respond`."""
+
+    def __init__(self, module: RFModule) -> None:
+        super().__init__()
+        self._module = module
+
+    def read(self, connection: ConnectionReader) -> bool:
+        """Read a command and write the reply."""
+        command, reply = Bottle(), Bottle()
+        if not command.read(connection):
+            return False
+        understood = self._module.safeRespond(command, reply)
+        writer = connection.getWriter()
+        if writer is not None and reply.size() > 0:
+            reply.write(writer)
+        return understood

@@ -1,0 +1,124 @@
+"""Finds the definitions of ROS message types and makes their classes, each once.
+
+Where it looks, in this order: what was given (`Library.add`), folders (`Library.folders`, then ``YARP_ROSMSG_PATH``),
+what is installed of either ROS (``ROS_PACKAGE_PATH``, ``AMENT_PREFIX_PATH``, ``CMAKE_PREFIX_PATH``), and last a Midspan
+daemon on the YARP network (`Library.ask`). Nothing is fetched from anywhere else.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from yarp_compat.rosmsg.definition import MAX_TEXT, Definition, DefinitionError, full_name, parse
+from yarp_compat.rosmsg.message import Message, make_class
+
+MAX_DEPTH = 32
+"""How deep messages may nest each other."""
+
+_NAME = re.compile(r"[A-Za-z]\w*/[A-Za-z]\w*")
+
+# What needs no file: every ROS has it, and it is in nearly every message.
+_KNOWN = {"std_msgs/Header": "uint32 seq\ntime stamp\nstring frame_id\n", "std_msgs/String": "string data\n"}
+
+
+class Library:
+    """Message classes by type name.
+
+    Attributes:
+        folders: more folders to look in: of ``package/msg/Name.msg``, ``package/Name.msg``, or a package's own.
+        ask: called with a type's name when no file has it; returns its full definition, or None.
+    """
+
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        self.folders: list[Path] = []
+        self.ask: Callable[[str], str | None] | None = None
+        self._environment = os.environ if environment is None else environment
+        self._definitions: dict[str, Definition] = {}
+        self._classes: dict[str, type[Message]] = {}
+        self._lock = threading.RLock()
+
+    def add(self, name: str, text: str) -> None:
+        """Give a type's definition, alone or with those that it needs appended.
+
+        Raises:
+            DefinitionError: it cannot be read.
+        """
+        with self._lock:
+            self._definitions |= parse(text, name)
+
+    def get(self, name: str) -> type[Message]:
+        """The class of a type, ``std_msgs/String`` (``std_msgs/msg/String`` is the same).
+
+        Raises:
+            DefinitionError: no definition of it, or of what it nests, is known or readable.
+        """
+        with self._lock:
+            return self._class(full_name(name), ())
+
+    def _class(self, name: str, path: tuple[str, ...]) -> type[Message]:
+        if name in path or len(path) > MAX_DEPTH:
+            msg = f"{path[0]} cannot be used: {name} contains itself, or messages nest more than {MAX_DEPTH} deep"
+            raise DefinitionError(msg)
+        if name not in self._classes:
+            definition = self._definition(name, path)
+            needed = [field.type for field in definition.fields if field.is_message]
+            nested = {each: self._class(each, (*path, name)) for each in needed}
+            self._classes[name] = make_class(definition, nested)
+        return self._classes[name]
+
+    def _definition(self, name: str, path: tuple[str, ...]) -> Definition:
+        if not _NAME.fullmatch(name):
+            msg = f"{name!r} is not the name of a ROS message"
+            raise DefinitionError(msg)
+        if name not in self._definitions:
+            text = self._find(name)
+            if text is None:
+                wanted = f", which {path[-1]} contains," if path else ""
+                msg = (
+                    f"no definition of {name}{wanted} is known: give a folder with its .msg file in YARP_ROSMSG_PATH "
+                    "(or yarp.rosmsg.folders), install the package, or start a Midspan daemon on this YARP network"
+                )
+                raise DefinitionError(msg)
+            found = parse(text, name)
+            self._definitions = found | self._definitions
+        return self._definitions[name]
+
+    def _find(self, name: str) -> str | None:
+        package, _, own = name.partition("/")
+        for folder in self._places():
+            for path in (folder / package / "msg" / f"{own}.msg", folder / package / f"{own}.msg"):
+                if path.is_file():
+                    return _read(path, name)
+            if folder.name == package and (folder / "msg" / f"{own}.msg").is_file():
+                return _read(folder / "msg" / f"{own}.msg", name)
+        told = self.ask(name) if self.ask is not None else None
+        return told if told is not None else _KNOWN.get(name)
+
+    def _places(self) -> Iterator[Path]:
+        yield from self.folders
+        yield from _paths(self._environment.get("YARP_ROSMSG_PATH", ""))
+        yield from _paths(self._environment.get("ROS_PACKAGE_PATH", ""))
+        for variable in ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"):
+            yield from (path / "share" for path in _paths(self._environment.get(variable, "")))
+
+
+def _paths(text: str) -> list[Path]:
+    return [Path(part) for part in text.split(os.pathsep) if part]
+
+
+def _read(path: Path, name: str) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_TEXT + 1)
+        return data.decode()
+    except (OSError, UnicodeDecodeError) as err:
+        msg = f"the definition of {name} in {path} cannot be read: {err}"
+        raise DefinitionError(msg) from None
+
+
+LIBRARY = Library()
+"""The program's own, behind ``yarp.rosmsg``."""

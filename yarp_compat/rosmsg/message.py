@@ -1,0 +1,285 @@
+"""A ROS message as a Python object that crosses YARP ports.
+
+On the wire it is what YARP 3.5's own generated classes write (yarpidl_rosmsg, RosTypeCodeGenYarp.cpp): a list of the
+fields in their order, each with its tag, nested messages as lists, arrays of numbers and strings specialised. Its
+readers refuse other layouts, ours take any numbers where numbers belong.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+from yarp_compat.rosmsg.definition import PRIMITIVES, TIMES, Definition, Field
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.tags import BLOB, INT8, INT16, INT32, INT64, LIST, STRING
+from yarp_compat.wire.writer import Writer
+
+_TAGS = {1: INT8, 2: INT16, 4: INT32, 8: INT64}
+_LETTERS = {
+    "bool": "B", "int8": "b", "uint8": "B", "byte": "b", "char": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+_FLOATS = ("float32", "float64")
+_WRONG_VALUE = (TypeError, ValueError, OverflowError, AttributeError, struct.error)
+
+
+class TickTime:
+    """A ROS time or duration: ``sec`` and ``nsec``."""
+
+    __slots__ = ("nsec", "sec")
+
+    def __init__(self, sec: float = 0, nsec: int = 0) -> None:
+        whole = math.floor(sec)
+        self.sec, self.nsec = divmod(whole * 1_000_000_000 + round((sec - whole) * 1e9) + nsec, 1_000_000_000)
+
+    def to_seconds(self) -> float:
+        """The time in seconds."""
+        return self.sec + self.nsec * 1e-9
+
+    __float__ = to_seconds
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TickTime) and (self.sec, self.nsec) == (other.sec, other.nsec)
+
+    def __hash__(self) -> int:
+        return hash((self.sec, self.nsec))
+
+    def __repr__(self) -> str:
+        return f"TickTime({self.sec}, {self.nsec})"
+
+
+class Message(Portable):
+    """The base of the classes that are made from definitions: their fields are attributes, the rest is this.
+
+    Example::
+
+        String = yarp.rosmsg("std_msgs/String")
+        text = String(data="hello")
+    """
+
+    _definition: ClassVar[Definition]
+    _nested: ClassVar[Mapping[str, type[Message]]]
+    _names: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, **fields: Any) -> None:
+        self.clear()
+        for name, value in fields.items():
+            setattr(self, name, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._names:  # a field misspelt would be published empty
+            msg = f"{self.TYPE} has no field {name!r}, only {', '.join(sorted(self._names)) or 'none'}"
+            raise AttributeError(msg)
+        self.__dict__[name] = value
+
+    @classmethod
+    def typeName(cls) -> str:
+        """The type's name, ``std_msgs/String``."""
+        return cls.TYPE
+
+    def clear(self) -> None:
+        """Set every field to its default."""
+        self.__dict__.update((field.name, self._default(field)) for field in self._definition.fields)
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self.to_wire() == other.to_wire()
+
+    __hash__ = None  # type: ignore[assignment]  # messages change
+
+    def __repr__(self) -> str:
+        fields = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in self._definition.fields)
+        return f"{self.TYPE.replace('/', '.')}({fields})"
+
+    def toString(self) -> str:
+        """The message as the text of a Bottle."""
+        return self.to_text()
+
+    toString_c = toString
+
+    def _write(self, out: Writer) -> None:
+        out.begin(len(self._definition.fields))
+        for field in self._definition.fields:
+            value = getattr(self, field.name)
+            try:
+                _write_array(out, field, value) if field.is_array else _write_single(out, field, value)
+            except _WRONG_VALUE as err:
+                if field.is_message and isinstance(err, WireError):
+                    raise  # the nested message said which of its fields it is
+                kind = f"{field.type}{'[]' * field.is_array}"
+                msg = f"{self.TYPE}.{field.name} is {kind}, not {value!r:.80}: {err}"
+                raise WireError(msg) from None
+
+    def _read(self, source: Reader) -> None:
+        count = source.begin()
+        if count != len(self._definition.fields):
+            msg = f"a {self.TYPE} has {len(self._definition.fields)} fields, and {count} came"
+            raise WireError(msg)
+        values = {}
+        for field in self._definition.fields:
+            try:
+                values[field.name] = (
+                    self._read_array(source, field) if field.is_array else self._read_single(source, field)
+                )
+            except WireError as err:
+                if field.is_message:
+                    raise
+                msg = f"{self.TYPE}.{field.name} is {field.type}{'[]' * field.is_array}: {err}"
+                raise type(err)(msg) from None
+        source.end()
+        self.__dict__.update(values)
+
+    @classmethod
+    def _default(cls, field: Field) -> Any:
+        if field.is_array:
+            return [cls._single(field) for _ in range(field.length)]
+        return cls._single(field)
+
+    @classmethod
+    def _single(cls, field: Field) -> Any:
+        if field.is_message:
+            return cls._nested[field.type]()
+        if field.type in TIMES:
+            return TickTime()
+        return {"string": "", "bool": False}.get(field.type, 0.0 if field.type in _FLOATS else 0)
+
+    @classmethod
+    def _read_array(cls, source: Reader, field: Field) -> Any:
+        if source.next_tag() == BLOB and PRIMITIVES.get(field.type) == 1:
+            found = list(source.blob().cast(_LETTERS[field.type]))
+        elif field.type in PRIMITIVES:
+            found = cls._read_numbers(source, field)
+        else:
+            found = [cls._read_single(source, field) for _ in range(source.begin())]
+            source.end()
+        if field.length and len(found) != field.length:
+            msg = f"{len(found)} elements, not {field.length}"
+            raise WireError(msg)
+        return found
+
+    @classmethod
+    def _read_numbers(cls, source: Reader, field: Field) -> list[Any]:
+        tag, count, data = source.array(PRIMITIVES[field.type])
+        if data is None:
+            found = [cls._read_single(source, field) for _ in range(count)]
+            source.end()
+            return found
+        floats = tag in (source.profile.float32_tag, source.profile.float64_tag)
+        if floats != (field.type in _FLOATS):
+            msg = f"numbers of tag {tag}"
+            raise WireError(msg)
+        found = list(struct.unpack(f"<{count}{_LETTERS[field.type]}", data))
+        return [bool(number) for number in found] if field.type == "bool" else found
+
+    @classmethod
+    def _read_single(cls, source: Reader, field: Field) -> Any:
+        if field.is_message:
+            message = cls._nested[field.type]()
+            message._read(source)
+            return message
+        if field.type in TIMES:
+            return _read_time(source, field.type)
+        if field.type == "string":
+            return source.string()
+        if field.type in _FLOATS:
+            return source.float64()
+        number = source.integer()
+        return bool(number) if field.type == "bool" else _integer(field.type, number)
+
+    def _become(self, other: Self) -> None:
+        self.__dict__.update(other.__dict__)
+
+
+def make_class(definition: Definition, nested: Mapping[str, type[Message]]) -> type[Message]:
+    """The class of a message type whose nested types' classes are known."""
+    fields = ", ".join(f"{field.type}{'[]' * field.is_array} {field.name}" for field in definition.fields)
+    body: dict[str, Any] = {name: value for name, value in definition.constants.items() if not hasattr(Message, name)}
+    body |= {
+        "__doc__": f"{definition.name}: {fields}",
+        "__module__": f"{__package__}.{definition.name.split('/')[0]}",
+        "TYPE": definition.name,
+        "_definition": definition,
+        "_nested": dict(nested),
+        "_names": frozenset(field.name for field in definition.fields),
+    }
+    return type(definition.name.split("/")[1], (Message,), body)
+
+
+def _write_array(out: Writer, field: Field, value: Any) -> None:
+    if field.length and len(value) != field.length:
+        msg = f"{len(value)} elements, not {field.length}"
+        raise ValueError(msg)
+    if field.is_message or field.type in TIMES:
+        out.begin(len(value))
+        for element in value:
+            _write_single(out, field, element)
+    elif field.type == "string":
+        out.begin(len(value), STRING)
+        for element in value:
+            out.string(element, tagged=False)
+    else:
+        out.begin(len(value), _tag(out.profile, field.type))
+        out.block(_packed(field.type, value))
+
+
+def _packed(type_name: str, value: Any) -> Buffer:
+    letter = _LETTERS[type_name]
+    if isinstance(value, (bytes, bytearray)) and PRIMITIVES[type_name] == 1:
+        return value
+    if hasattr(value, "astype"):  # a numpy array, without importing numpy for those who have none
+        kind = ("f" if type_name in _FLOATS else "u" if letter.isupper() else "i") + str(PRIMITIVES[type_name])
+        array = value.astype(f"<{kind}", order="C", copy=False).reshape(-1)
+        return memoryview(array).cast("B")
+    return struct.pack(f"<{len(value)}{letter}", *value)
+
+
+def _write_single(out: Writer, field: Field, value: Any) -> None:
+    if field.is_message:
+        value._write(out)
+    elif field.type in TIMES:
+        time = value if isinstance(value, TickTime) else TickTime(value)
+        out.begin(2)
+        out.integer(time.sec)
+        out.integer(time.nsec)
+    elif field.type == "string":
+        out.string(value)
+    elif field.type == "float64":
+        out.float64(value)
+    elif field.type == "float32":
+        out.float32(value)
+    else:
+        out.integer(_integer(field.type, int(value)), _TAGS[PRIMITIVES[field.type]])
+
+
+def _read_time(source: Reader, type_name: str) -> TickTime:
+    if not source.next_tag() & LIST:
+        return TickTime(source.float64())
+    source.begin()
+    sec, nsec = source.integer(), source.integer()
+    source.end()
+    return TickTime(sec & 0xFFFFFFFF if type_name == "time" else sec, nsec)
+
+
+def _tag(profile: Profile, type_name: str) -> int:
+    if type_name in _FLOATS:
+        return profile.float64_tag if type_name == "float64" else profile.float32_tag
+    return _TAGS[PRIMITIVES[type_name]]
+
+
+def _integer(type_name: str, value: int) -> int:
+    """A number within its type: an unsigned one comes as the signed one of the same bits."""
+    bits = 8 * PRIMITIVES[type_name]
+    unsigned = _LETTERS[type_name].isupper()
+    least = 0 if unsigned else -(1 << bits - 1)
+    if unsigned and -(1 << bits - 1) <= value < 0:
+        value += 1 << bits
+    if not least <= value < least + (1 << bits):
+        msg = f"{value} does not fit {type_name}"
+        raise WireError(msg)
+    return value
