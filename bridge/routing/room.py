@@ -24,6 +24,15 @@ def warnings(folder: Path) -> list[str]:
     return [text for text in (descriptors(), state.trouble(folder)) if text]
 
 
+def has_descriptor() -> bool:
+    """Whether this process can open one more file."""
+    try:
+        os.close(os.open(os.devnull, os.O_RDONLY))
+    except OSError as err:
+        return err.errno not in OUT
+    return True
+
+
 def descriptors() -> str:
     """How many descriptors are in use where that is nearly all, with what helps; "" where there is room."""
     if sys.platform == "win32":

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import signal
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from bridge.config import Config
 from bridge.daemon.loop import Loop
 from bridge.daemon.query import QueryServer, ask_daemon
 from tests.daemon.daemon import Daemon
+from tests.support.descriptors import no_descriptors
 from tests.support.wait import until
 
 
@@ -59,23 +57,6 @@ def test_answer_of_something_else_is_none(tmp_path: Path) -> None:
     (tmp_path / "test.daemon.sock").write_text("no socket")
     assert ask_daemon(Config(name="test", state=tmp_path)) is None
     assert ask_daemon(Config(name="x" * 60, state=tmp_path / ("y" * 90))) is None
-
-
-@contextmanager
-def no_descriptors() -> Iterator[None]:
-    """This process without a single descriptor left."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    held = [os.open(os.devnull, os.O_RDONLY)]
-    try:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (held[0] + 20, hard))
-        with contextlib.suppress(OSError):
-            while True:
-                held.append(os.open(os.devnull, os.O_RDONLY))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-        for file in held:
-            os.close(file)
 
 
 def test_without_descriptors_a_question_is_turned_away_and_the_loop_rests(tmp_path: Path) -> None:

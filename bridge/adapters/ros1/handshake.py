@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
-from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError
+from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError, unanswered
 from bridge.adapters.ros1.rpc import ask
 
 MAX_HEADER = 2**20
@@ -92,9 +92,11 @@ def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[Deadline
     host, port = _address(chosen, uri)
     try:
         sock = DeadlineSocket.connected(host, port, deadline)
-    except (OSError, OverflowError) as err:
-        msg = f"cannot connect to {host}:{port} where {uri} publishes: {str(err) or type(err).__name__}"
-        raise UnreachableError(msg) from None
+    except OSError as err:
+        raise unanswered(f"cannot connect to {host}:{port} where {uri} publishes", err) from None
+    except ValueError as err:  # no name of a host
+        msg = f"{uri} offers {host!r:.200} as its host: {err}"
+        raise ProtocolError(msg) from None
     try:
         return sock, _converse(sock, caller, topic, f"{host}:{port}")
     except BaseException:

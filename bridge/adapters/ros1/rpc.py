@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
-from bridge.adapters.ros1.errors import ProtocolError, RefusedError, UnreachableError
+from bridge.adapters.ros1.errors import ProtocolError, RefusedError, unanswered
 
 MAX_ANSWER = 64 * 2**20
 """Bytes of the longest answer of a master that is read: its state with 100,000 registrations is about 20 MB."""
@@ -114,10 +114,11 @@ class RpcClient:
                 answer = self._exchange(body, deadline)
         except (OSError, ValueError, http.client.HTTPException) as err:  # ValueError: a chunk of negative length
             self._http.close()
-            msg = f"{self.uri} does not answer: {str(err) or type(err).__name__}"
-            if isinstance(err, ValueError | http.client.HTTPException):
-                raise ProtocolError(msg) from None
-            raise UnreachableError(msg, refused=isinstance(err, ConnectionRefusedError)) from None
+            what = f"{self.uri} does not answer"
+            if isinstance(err, OSError) and not isinstance(err, http.client.HTTPException):
+                raise unanswered(what, err) from None
+            msg = f"{what}: {str(err) or type(err).__name__}"
+            raise ProtocolError(msg) from None
         if self._last is not None and self._last[0] == body and self._last[1] == answer:
             return self._last[2]
         value = self._parse(answer)

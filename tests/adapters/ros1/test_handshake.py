@@ -5,9 +5,10 @@ import struct
 
 import pytest
 
-from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError
+from bridge.adapters.ros1.errors import ExhaustedError, ProtocolError, RefusedError, Ros1Error, UnreachableError
 from bridge.adapters.ros1.handshake import MAX_HEADER, connect, decode, encode
 from tests.adapters.ros1.servers import node, publisher, until_closed
+from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
 
 HEADER = {
@@ -98,6 +99,8 @@ def test_publishers_that_misbehave(serve, error, words):
         ([1, "", ["UDPROS", 1]], Ros1Error),
         ([1, "", ["TCPROS", "127.0.0.1", 0]], Ros1Error),
         ([1, "", ["TCPROS", "127.0.0.1", "http"]], Ros1Error),
+        ([1, "", ["TCPROS", "a\0b", 1]], ProtocolError),
+        ([1, "", ["TCPROS", "x" * 300, 1]], ProtocolError),
         ([0, "not mine", 0], RefusedError),
         (["x"], ProtocolError),
         (5, ProtocolError),
@@ -114,3 +117,9 @@ def test_nobody_there():
     answer = [1, "", ["TCPROS", "127.0.0.1", free_port()]]
     with node(requestTopic=lambda *_: answer) as uri, pytest.raises(UnreachableError, match="cannot connect"):
         connect("/me", uri, "/topic", 2.0)
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+def test_want_of_descriptors_is_not_the_peers_fault(name):
+    with no_descriptors(), pytest.raises(ExhaustedError, match=r"no file descriptor left.*LimitNOFILE"):
+        connect("/me", f"http://{name}:11311/", "/topic", 2.0)
