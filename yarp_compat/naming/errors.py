@@ -1,9 +1,10 @@
 """What can go wrong with names.
 
 NamingError
-  NoNameServerError    no name server where it should be, or it does not answer in time
-  NameRefusedError         the name server answered, and did not take the name
-ConfigError           the file that says where the name server is, cannot be used
+  NoNameServerError     no name server where it should be, or it does not answer in time
+  NameRefusedError      the name server answered, and did not take the name
+  PortError             a port does not exist, does not answer, or does not do what it is asked
+  ConfigError           the file that says where the name server is, cannot be used
 """
 
 from __future__ import annotations
@@ -23,3 +24,7 @@ class NameRefusedError(NamingError):
 
 class ConfigError(NamingError):
     """The file that says where the name server is, is missing what it needs."""
+
+
+class PortError(NamingError):
+    """A port does not exist, does not answer, or does not do what it is asked."""

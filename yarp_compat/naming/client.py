@@ -1,0 +1,211 @@
+"""A client of YARP's name server, ours or yarpserver: one TCP connection per command, as YARP's own programs do.
+
+The bytes are those of YARP 3.12.3 (`NameClient.cpp`, `NameserCarrier.cpp`, and captures): ``NAME_SERVER query /p``,
+quotes left out, ended by LF where an answer of lines is expected and CR LF where one line, a Bottle, is.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+from yarp_compat.naming import config, talk
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.errors import NameRefusedError, NamingError, NoNameServerError
+from yarp_compat.naming.lines import LineSocket
+from yarp_compat.wire.carriers import CARRIERS
+from yarp_compat.wire.contact import Contact, is_name
+from yarp_compat.wire.text import from_text, plain_text, value_text
+
+TIMEOUT = 5.0
+MAX_ANSWER = 32 << 20
+"""Bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB."""
+
+
+class NameClient:
+    """Asks a name server.
+
+    Args:
+        address: where it is; None looks it up in yarp.conf, again whenever it was not reached.
+        timeout: seconds that any command may take.
+
+    Every method raises NoNameServerError where nobody answers, and ConfigError where yarp.conf cannot be used.
+    """
+
+    def __init__(self, address: Address | None = None, *, timeout: float = TIMEOUT) -> None:
+        self._given = address
+        self._found: Address | None = None
+        self._timeout = timeout
+
+    @property
+    def address(self) -> Address:
+        """Where the name server should be.
+
+        Raises:
+            NoNameServerError: no file says it.
+            ConfigError: the file cannot be used.
+        """
+        address = self._given or self._found or config.read()
+        if address is None:
+            msg = (
+                f"no file says where YARP's name server is: {config.file()} should hold a line such as"
+                " '127.0.0.1 10000 yarp' ('yarp detect --write' or 'midspan yarp server --write' makes it)"
+            )
+            raise NoNameServerError(msg)
+        self._found = address
+        return address
+
+    @property
+    def contact(self) -> Contact:
+        """The name server's own port."""
+        return self.address.contact(config.namespace())
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+        """Register a port, and say what a C++ port says of itself; see `Naming.register`."""
+        wanted = "..." if name in ("", "...") else name
+        if not is_name(wanted):
+            msg = f"{name!r} cannot be the name of a port: YARP's names are like /robot/camera, without spaces"
+            raise NameRefusedError(msg)
+        host = host or self._own_host()
+        command: list[Any] = ["register", wanted]
+        if host or port or carrier:
+            command += [carrier or "tcp", host or "...", port or "..."]
+        contact = Contact.from_registration(self.line(command))
+        if contact is None:
+            msg = f"the name server at {self._where()} did not take {name}: it may be full, or the name is its own"
+            raise NameRefusedError(msg)
+        for key, words in self._about().items():
+            self.line(["set", contact.name, key, *words])
+        return contact
+
+    def unregister(self, name: str) -> None:
+        """Forget a port; see `Naming.unregister`."""
+        self.lines(["unregister", name])
+
+    def query(self, name: str) -> Contact | None:
+        """Where a port is; see `Naming.query`. ``tcp://host:10002/`` is its own answer."""
+        known = Contact.parse(name)
+        if known.is_valid:
+            return known
+        if not is_name(known.name):
+            return None
+        if known.name == config.namespace():
+            return self.contact
+        answer = self.lines(["query", known.name])
+        return Contact.from_registration(answer[0]) if answer else None
+
+    def list(self, prefix: str = "") -> list[Contact]:
+        """All registered ports, or those at and below a prefix."""
+        found = [Contact.from_registration(line) for line in self.lines(["list", prefix] if prefix else ["list"])]
+        return [contact for contact in found if contact is not None]
+
+    def set_property(self, name: str, key: str, *values: Any) -> None:
+        """Keep values under a key of a port; see `Naming.set_property`."""
+        command = ["set", name, key, *values]
+        if any(_is_quoted(v) for v in values):
+            talk.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes
+        else:
+            self.line(command)
+
+    def get_property(self, name: str, key: str) -> list[Any]:
+        """The values under a key of a port; see `Naming.get_property`."""
+        return from_text(self.line(["bot", "get", name, key]))
+
+    def announce(self, name: str, alive: bool = True) -> None:
+        """Say that a port listens now, or that it does not respond; see `Naming.announce`."""
+        self.lines(["announce", name] if alive else ["announce", name, 0])
+
+    def lines(self, command: Sequence[Any]) -> list[str]:
+        """Any command that is answered in lines; returns them without the end mark.
+
+        An answer that is one Bottle, such as ``[ok]``, is returned as its line.
+        """
+        answer: list[str] = []
+        with self._ask(_text(command) + b"\n") as peer:
+            # a Bottle has no end mark; the commands answered by one are few and known
+            single = self._is_single(command)
+            while True:
+                line = peer.line()
+                if line.startswith("*"):
+                    return answer
+                answer.append(line)
+                if single or line.startswith("["):
+                    return answer
+
+    def line(self, command: Sequence[Any]) -> str:
+        """Any command of which the answer's first line is enough; the end mark is no answer."""
+        with self._ask(_text(command) + b"\r\n") as peer:
+            line = peer.line()
+            return "" if line.startswith("*") else line
+
+    def command(self, words: Sequence[Any]) -> list[Any]:
+        """Any command, answered as a Bottle: ``["bot", "list"]``, ``["subscribe", "/a", "/b"]``."""
+        return from_text(self.line(words))
+
+    @staticmethod
+    def _is_single(command: Sequence[Any]) -> bool:
+        return bool(command) and command[0] in ("bot", "subscribe", "unsubscribe", "topic", "untopic", "type")
+
+    def _ask(self, data: bytes) -> LineSocket:
+        address = self.address
+        try:
+            peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
+            peer.send(data)
+        except OSError as err:
+            self._found = None  # the file may say another place by now
+            raise self._absent(err) from None
+        peer.on_error(self._absent)
+        return peer
+
+    def _absent(self, err: OSError) -> NamingError:
+        why = f"no answer within {self._timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
+        msg = (
+            f"YARP's name server does not answer at {self._where()}: {why}."
+            " Start it ('yarpserver' or 'midspan yarp server'), or correct that address in yarp.conf."
+        )
+        return NoNameServerError(msg)
+
+    def _where(self) -> str:
+        address = self._found or self._given
+        return f"{address.host} port {address.port}" if address else "its address"
+
+    def _own_host(self) -> str:
+        """What ``YARP_IP`` says: an address, or the beginning of that one of ours that is to be used."""
+        prefix = os.environ.get("YARP_IP", "")
+        return next((ip for ip in self._own_addresses() if ip.startswith(prefix)), prefix) if prefix else ""
+
+    def _own_addresses(self) -> list[str]:
+        """Loopback, and the address by which the name server's network sees this machine."""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect((self.address.host, self.address.port))  # sends nothing
+                towards = str(probe.getsockname()[0])
+            except OSError:
+                return ["127.0.0.1"]
+        return sorted({"127.0.0.1", towards})
+
+    def _about(self) -> dict[str, list[Any]]:
+        return {
+            "offers": list(CARRIERS),
+            "accepts": list(CARRIERS),
+            "ips": self._own_addresses(),
+            "process": [os.getpid()],
+        }
+
+
+def _is_quoted(value: Any) -> bool:
+    """Whether a value would be read as something else without its quotes."""
+    text = value_text(value)
+    return from_text(text.replace('"', "")) != [value] if '"' in text else False
+
+
+def _text(command: Sequence[Any]) -> bytes:
+    """A command as the text protocol has it: words without quotes, which old name servers do not know."""
+    words = [plain_text(w) if isinstance(w, str) else value_text(w) for w in command]
+    text = " ".join(["NAME_SERVER", *words]).replace('"', "")
+    if "\n" in text or "\r" in text:
+        msg = "a name server's command is one line: no line breaks in names and properties"
+        raise NamingError(msg)
+    return text.encode("utf-8", "surrogateescape")

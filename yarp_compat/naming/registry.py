@@ -1,0 +1,394 @@
+"""The name server's mind: commands in, answers out, no sockets.
+
+Commands and answers as those of yarpserver 3.12.3 and 4.0 (``NameServiceOnTriples.cpp``, ``Subscriber.cpp``, and what
+was captured from them). Beyond that: names are checked, everything is bounded, and a port that registers again
+exactly what is known of it (as ours do when the name server was away) changes nothing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from yarp_compat.naming.allocation import Allocator
+from yarp_compat.naming.answers import HELP, OLD, STYLE, Answer, as_bottle, as_value, as_words, code
+from yarp_compat.naming.subscriptions import Subscriptions, Wish
+from yarp_compat.wire.contact import MAX_NAME, Contact, is_name
+from yarp_compat.wire.text import plain_text
+from yarp_compat.wire.values import Vocab
+
+MAX_PORTS = 10_000
+MAX_PROPERTY_CHARACTERS = 8 * 1024
+"""Characters of all properties of one port."""
+
+MAX_OWNED_DEPTH = 16
+
+
+@dataclass(slots=True)
+class Entry:
+    """One registered port.
+
+    Attributes:
+        contact: its name and address.
+        since: when it was registered, in seconds of the registry's clock.
+        properties: words kept under keys.
+    """
+
+    contact: Contact
+    since: float
+    properties: dict[str, list[str]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Command:
+    """A command being answered: its words, whether as Bottle (``bot``), from which address, and what came of it."""
+
+    words: Sequence[Any]
+    bot: bool
+    remote: str
+    events: list[list[Any]] = field(default_factory=list)
+    wishes: list[Wish] = field(default_factory=list)
+    changed: bool = False
+
+    def word(self, index: int) -> str:
+        return plain_text(self.words[index]) if index < len(self.words) else ""
+
+    @property
+    def head(self) -> list[Any]:
+        return [] if self.bot else [OLD]
+
+
+class Registry:
+    """All that a name server knows.
+
+    Args:
+        server: the name server's own port, registered from the start.
+        clock: gives seconds that never go back.
+    """
+
+    def __init__(self, server: Contact, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self.server = server
+        self._clock = clock
+        self._ports: dict[str, Entry] = {}
+        self._allocator = Allocator(server.port)
+        self._subscriptions = Subscriptions(self._is_port)
+        self._types: dict[tuple[str, str], str] = {}
+        self._commands: dict[str, Callable[[_Command], list[Any]]] = {
+            "register": self._register,
+            "unregister": self._unregister,
+            "query": self._query,
+            "list": self._list,
+            "runners": self._runners,
+            "set": self._set,
+            "get": self._get,
+            "check": self._check,
+            "route": self._route,
+            "gc": lambda _: [OLD, ["garbage collection done."]],
+            "help": self._help,
+            "subscribe": self._subscribe,
+            "unsubscribe": self._unsubscribe,
+            "announce": self._announce,
+            "topic": self._topic,
+            "untopic": self._untopic,
+            "type": self._type,
+            "web": lambda _: ["web", STYLE, "mime", "text/css"],
+        }
+        self.add(server)
+        self._ports[server.name].properties["nameserver"] = ["true"]
+
+    def add(self, contact: Contact) -> None:
+        """Register a port of which everything is known, such as the name server's own."""
+        self._ports[contact.name] = Entry(contact, self._clock())
+        self._subscriptions.welcome(contact.name)
+
+    def apply(self, words: Sequence[Any], remote: str = "") -> Answer:
+        """Answer one command.
+
+        Args:
+            words: the command's values; ``NAME_SERVER`` and ``bot`` may stand before it.
+            remote: the address that it comes from.
+        """
+        words = list(words)
+        bot = _wants_json(words)
+        if words and words[0] == "NAME_SERVER":
+            words = words[1:]
+        if words and words[0] == "bot":
+            bot, words = True, words[1:]
+        command = _Command(words, bot, remote)
+        perform = self._commands.get(command.word(0))
+        values = perform(command) if perform else [OLD]
+        return Answer(values, tuple(command.events), tuple(command.wishes), command.changed)
+
+    def remove(self, names: Iterable[str]) -> Answer:
+        """Forget ports that are dead; returns the events of that."""
+        command = _Command((), bot=False, remote="")
+        for name in names:
+            if name != self.server.name:
+                self._forget(command, name)
+        return Answer([OLD], tuple(command.events), (), command.changed)
+
+    def entries(self) -> list[Entry]:
+        """All registered ports, in order of their names."""
+        return [self._ports[name] for name in sorted(self._ports, key=_in_bytes)]
+
+    def find(self, name: str) -> Contact | None:
+        """Where a port is; None where it is not known."""
+        entry = self._ports.get(name)
+        return entry.contact if entry else None
+
+    def wanted(self) -> list[Wish]:
+        """Every persistent connection that is wanted now."""
+        return self._subscriptions.wanted()
+
+    def age(self, entry: Entry) -> float:
+        """Seconds since a port was registered."""
+        return self._clock() - entry.since
+
+    def state(self) -> dict[str, Any]:
+        """All that it remembers, for a file."""
+        return {
+            "ports": [
+                [e.contact.name, e.contact.carrier, e.contact.host, e.contact.port, e.properties]
+                for e in self._ports.values()
+                if e.contact.name != self.server.name
+            ],
+            "types": [[family, name, value] for (family, name), value in self._types.items()],
+            "allocation": self._allocator.state(),
+            "subscriptions": self._subscriptions.state(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Remember again what `state` said.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is not what `state` gives.
+        """
+        for name, carrier, host, port, properties in state["ports"]:
+            if is_name(name) and len(self._ports) < MAX_PORTS:
+                self.add(Contact(str(name), str(host), int(port), str(carrier)))
+                kept = {str(key): [str(v) for v in values] for key, values in properties.items()}
+                self._ports[name].properties.update(kept)
+        self._types = {(str(family), str(name)): str(value) for family, name, value in state["types"]}
+        self._allocator.restore(state["allocation"])
+        self._subscriptions.restore(state["subscriptions"])
+
+    # -- registering ---------------------------------------------------------------------------------------------
+
+    def _register(self, command: _Command) -> list[Any]:
+        asked = self._asked(command)
+        if asked is None:
+            return [OLD]
+        known = self._ports.get(asked.name)
+        if known and known.contact == asked:
+            known.since = self._clock()  # it came back to a restarted name server: nothing else changes
+            return self._described(command, asked.name)
+        if known:
+            self._forget(command, asked.name)
+        contact = self._completed(asked)
+        if contact is None or len(self._ports) >= MAX_PORTS:
+            return [OLD]
+        self._ports[contact.name] = Entry(contact, self._clock())
+        type_name = command.word(5)
+        if type_name and type_name != "*":
+            self._ports[contact.name].properties["type"] = [type_name]
+        command.changed = True
+        if contact.carrier != "mcast":
+            command.events.append([Vocab("add"), contact.name])
+        return self._described(command, contact.name)
+
+    def _asked(self, command: _Command) -> Contact | None:
+        """The contact as far as the command says it; None where it cannot be registered."""
+        name, carrier, host, number = (command.word(i) for i in (1, 2, 3, 4))
+        carrier = "tcp" if carrier in ("", "...") else carrier
+        if host in ("", "..."):
+            host = "..." if carrier == "mcast" else command.remote or "localhost"
+        port = int(number) if number.isdecimal() and len(number) < 6 else 0
+        if carrier == "topic":
+            host, port = self.server.host, self.server.port
+        if name == self.server.name or port > 0xFFFF:
+            return None
+        if not (is_name(name) and is_name(carrier) and is_name(host)):
+            return None
+        return Contact(name, host, port, carrier)
+
+    def _completed(self, asked: Contact) -> Contact | None:
+        """Fill in the name, the address and the number that were not said."""
+        name: str | None = asked.name
+        if asked.name == "..." or asked.name.startswith("="):
+            given = self._allocator.name()
+            while given in self._ports:
+                given = self._allocator.name()
+            name = given if asked.name == "..." or given is None else given + asked.name
+        if name is None or not is_name(name):
+            return None
+        host: str | None = asked.host
+        if asked.carrier == "mcast" and host == "...":
+            host = self._allocator.group()
+        number: int | None = asked.port
+        if not number:
+            number = self._allocator.number(name, {e.contact.port for e in self._ports.values()})
+        if host is None or number is None:
+            return None
+        return Contact(name, host, number, asked.carrier)
+
+    def _unregister(self, command: _Command) -> list[Any]:
+        name = command.word(1)
+        if name != self.server.name:
+            self._forget(command, name)
+        return self._described(command, name)
+
+    def _forget(self, command: _Command, name: str, depth: int = 0) -> None:
+        """Forget a port, and what it owns (a port that writes by mcast owns its group's entry)."""
+        self._subscriptions.gone(name)
+        entry = self._ports.pop(name, None)
+        if entry is None:
+            return
+        contact = entry.contact
+        self._allocator.free(contact.name, contact.host, contact.port)
+        command.changed = True
+        if contact.carrier != "mcast":
+            command.events.append([Vocab("del"), name])
+        for owned in entry.properties.get("owns", ()):
+            if depth < MAX_OWNED_DEPTH and owned != self.server.name:
+                self._forget(command, owned, depth + 1)
+
+    # -- asking --------------------------------------------------------------------------------------------------
+
+    def _query(self, command: _Command) -> list[Any]:
+        return self._described(command, _plain(command.word(1)))
+
+    def _described(self, command: _Command, name: str) -> list[Any]:
+        """The answer about one port."""
+        entry = self._ports.get(name)
+        if command.bot:
+            line = as_bottle(entry.contact) if entry else ["port", ["error", -2, "port not known"]]
+            # what was registered as a Bottle is still answered in lines, as yarpserver does
+            return [OLD, *line] if command.word(0) in ("register", "unregister") else line
+        return [OLD, as_words(entry.contact)] if entry else [OLD]
+
+    def _list(self, command: _Command) -> list[Any]:
+        prefix = command.word(1)
+        inside = prefix if prefix.endswith("/") else prefix + "/"
+        return self._shown(command, lambda name, _: not prefix or name == prefix or name.startswith(inside))
+
+    def _runners(self, command: _Command) -> list[Any]:
+        return self._shown(command, lambda _, entry: "true" in entry.properties.get("yarprun", ()))
+
+    def _shown(self, command: _Command, chosen: Callable[[str, Entry], bool]) -> list[Any]:
+        entries = [e for e in self.entries() if chosen(e.contact.name, e)]
+        if command.bot:
+            return ["ports", *(as_bottle(e.contact) for e in entries)]
+        return [OLD, *(as_words(e.contact) for e in entries)]
+
+    def _route(self, command: _Command) -> list[Any]:
+        source, target = command.word(1), command.word(2)
+        return [OLD, ["port", source, "route", target, "=", f"tcp:/{target}"]]
+
+    def _help(self, command: _Command) -> list[Any]:
+        head = [] if command.bot else [OLD, "Here are some ways to use the name server:"]
+        return [*head, *HELP]
+
+    # -- properties ----------------------------------------------------------------------------------------------
+
+    def _set(self, command: _Command) -> list[Any]:
+        entry, key = self._ports.get(command.word(1)), command.word(2)
+        if entry is None:
+            return command.head
+        values = [plain_text(v) for v in command.words[3:]]
+        kept = entry.properties
+        others = sum(len(k) + sum(map(len, v)) for k, v in kept.items() if k != key)
+        if others + len(key) + sum(map(len, values)) <= MAX_PROPERTY_CHARACTERS:
+            command.changed = kept.get(key) != values
+            kept[key] = values
+        return self._get(command)
+
+    def _get(self, command: _Command) -> list[Any]:
+        name, key = command.word(1), command.word(2)
+        entry = self._ports.get(name)
+        if entry is None:
+            return command.head
+        values = sorted(entry.properties.get(key, ()), key=_in_bytes)
+        if command.bot:
+            return [as_value(v) for v in values]
+        return [OLD, ["port", name, "property", key, "=", *values]]
+
+    def _check(self, command: _Command) -> list[Any]:
+        name, key, value = command.word(1), command.word(2), command.word(3)
+        entry = self._ports.get(name)
+        if entry is None:
+            return [OLD]
+        present = "true" if value in entry.properties.get(key, ()) else "false"
+        return [OLD, ["port", name, "property", key, "value", value, "present", present]]
+
+    # -- persistent connections and topics -------------------------------------------------------------------------
+
+    def _subscribe(self, command: _Command) -> list[Any]:
+        source, target, mode = (command.word(i) for i in (1, 2, 3))
+        if not target:
+            return self._subscriptions.listing(Contact.parse(source).name)
+        wishes = self._subscriptions.add(source, target, mode)
+        command.changed = wishes is not None
+        command.wishes += wishes or ()
+        return code(wishes is not None)
+
+    def _unsubscribe(self, command: _Command) -> list[Any]:
+        self._subscriptions.remove(command.word(1), command.word(2))
+        command.changed = True
+        return code(True)
+
+    def _announce(self, command: _Command) -> list[Any]:
+        name = command.word(1)
+        alive = len(command.words) < 3 or command.words[2] != 0
+        # one that does not respond is not forgotten for that: who could not reach it may be at fault
+        if alive and self._is_port(name):
+            command.wishes += self._subscriptions.welcome(name)
+            command.changed = True
+        return code(True)
+
+    def _topic(self, command: _Command) -> list[Any]:
+        if len(command.words) < 2:
+            return list(self._subscriptions.topics())
+        wishes = self._subscriptions.set_topic(command.word(1), command.word(2))
+        command.changed = wishes is not None
+        command.wishes += wishes or ()
+        return code(wishes is not None)
+
+    def _untopic(self, command: _Command) -> list[Any]:
+        self._subscriptions.remove_topic(command.word(1))
+        command.changed = True
+        return code(True)
+
+    def _type(self, command: _Command) -> list[Any]:
+        key = command.word(1), command.word(2)
+        sane = all(len(command.word(i)) <= MAX_NAME for i in (1, 2, 3))
+        if len(command.words) == 4 and sane and (key in self._types or len(self._types) < MAX_PORTS):
+            self._types[key] = command.word(3)
+            command.changed = True
+            return code(True)
+        if len(command.words) == 3 and key in self._types:
+            return ["type", *key, self._types[key]]
+        return code(False)
+
+    def _is_port(self, name: str) -> bool:
+        entry = self._ports.get(name)
+        return entry is not None and entry.contact.carrier != "topic"
+
+
+def _plain(name: str) -> str:
+    """A name without carrier and without the network that was asked for (``/net=eth0/p``)."""
+    name = Contact.parse(name).name if ":/" in name else name
+    if name[:5].lower() == "/net=" and "/" in name[5:]:
+        return name[name.index("/", 5) :]
+    return name
+
+
+def _wants_json(words: Sequence[Any]) -> bool:
+    """Whether a browser's request asks for json, which needs values instead of lines."""
+    return ["format", "json"] in words or ("format", "json") in itertools.pairwise(words)
+
+
+def _in_bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass")
