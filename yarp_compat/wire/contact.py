@@ -103,20 +103,6 @@ class Route:
     carrier: str
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A port as people name it: ``/name``, ``carrier://name`` or ``carrier:/name``."""
-
-    name: str
-    carrier: str = ""
-
-    @classmethod
-    def parse(cls, text: str) -> Place:
-        """Split a name such as ``fast_tcp://reader`` (the port ``/reader``) into its carrier and the port's name."""
-        carrier, found, rest = text.partition(":/")
-        return cls("/" + rest.lstrip("/"), carrier) if found else cls(text)
-
-
 def rooted(name: str) -> bool:
     """Whether a name is a registered port's; tools that introduce themselves as ``admin`` and the like are not."""
     return name.startswith("/")

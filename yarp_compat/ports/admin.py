@@ -1,0 +1,203 @@
+"""The administrative commands: what the companion, yarpmanager and robot interfaces ask of a port.
+
+The answers' texts are YARP's own (measured; ``PortCore.cpp``), as tools look at how they begin.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from yarp_compat.wire.carriers import CARRIERS
+from yarp_compat.wire.contact import Route
+from yarp_compat.wire.values import Vocab
+
+if TYPE_CHECKING:
+    from yarp_compat.ports.port import PortCore
+
+_HELP = (
+    "[help]                  # give this help",
+    "[ver]                   # report protocol version information",
+    "[add] $portname         # add an output connection",
+    "[add] $portname $car    # add an output with a given protocol",
+    "[del] $portname         # remove an input or output connection",
+    "[list] [in]             # list input connections",
+    "[list] [out]            # list output connections",
+    "[list] [in]  $portname  # give details for input",
+    "[list] [out] $portname  # give details for output",
+    "[prop] [get]            # get all user-defined port properties",
+    "[prop] [get] $prop      # get a user-defined port property (prop, val)",
+    "[prop] [set] $prop $val # set a user-defined port property (prop, val)",
+    "[prop] [get] $portname  # get Qos properties of a connection to/from a port",
+    "[prop] [set] $portname  # set Qos properties of a connection to/from a port",
+    "[prop] [get] $cur_port  # get information about current process (e.g., scheduling priority, pid)",
+    "[prop] [set] $cur_port  # set properties of the current process (e.g., scheduling priority, pid)",
+    "[atch] [out] $prop      # attach a portmonitor plug-in to the port's output",
+    "[atch] [in]  $prop      # attach a portmonitor plug-in to the port's input",
+    "[dtch] [out]            # detach portmonitor plug-in from the port's output",
+    "[dtch] [in]             # detach portmonitor plug-in from the port's input",
+)
+_OK, _FAIL = Vocab("ok"), Vocab("fail")
+_UNKNOWN = [_FAIL, "send [help] for list of valid commands"]
+MOST_PROPERTIES = 1000
+"""Properties of one port; more are not kept."""
+
+
+def answer(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    """The answer to an administrative command."""
+    known = _COMMANDS.get(_word(words, 0))
+    return known(port, words) if known else list(_UNKNOWN)
+
+
+def _word(words: Sequence[Any], index: int) -> str:
+    """A word of a command: vocabs and strings are both taken."""
+    value = words[index] if index < len(words) else ""
+    return str(value) if isinstance(value, str) else ""
+
+
+def _is_input(words: Sequence[Any]) -> bool:
+    return _word(words, 1) == "in"
+
+
+def _help(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
+    return [Vocab("many"), *_HELP]
+
+
+def _ver(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
+    return [Vocab("ver"), 1, 2, 3]
+
+
+def _add(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    target, carrier = _word(words, 1), _word(words, 2)
+    done, told = port.add_output(f"{carrier}:/{target}" if carrier else target)
+    return [0 if done else -1, told + "\r\n"]
+
+
+def _del(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    name = _word(words, 1)
+    out, told_out = port.remove_output(name)
+    into, told_in = port.remove_input(name)
+    if out == into:
+        told = f"{told_out}\r\n{told_in}\r\n"
+    else:
+        told = f"{told_out if out else told_in}\r\n"
+    return [0 if out or into else -1, told]
+
+
+def _list(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    incoming, wanted = _is_input(words), _word(words, 2)
+    routes = port.inputs() if incoming else port.outputs()
+    names = [(r.source if incoming else r.target, r) for r in routes]
+    if not wanted:
+        return [name for name, _ in names if name]
+    return [part for name, route in names if name == wanted for part in _described(route)]
+
+
+def _described(route: Route) -> list[Any]:
+    told: list[Any] = [["from", route.source], ["to", route.target], ["carrier", route.carrier]]
+    if CARRIERS[route.carrier].connectionless:
+        told.append(["connectionless", 1])
+    return told
+
+
+def _set(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    return _parameters(port, words, [0, "Configured connection {}\r\n"])
+
+
+def _get(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    return _parameters(port, words, [{}])
+
+
+def _parameters(port: PortCore, words: Sequence[Any], found: list[Any]) -> list[Any]:
+    """Parameters of a connection's carrier, which have none here, or of a portmonitor, which there is none."""
+    incoming, wanted = _is_input(words), _word(words, 2)
+    if not wanted:
+        return [-1, "target port is not specified.\r\n"]
+    if wanted == port.name:
+        return [_FAIL, f"No port modifier is attached to the {'input' if incoming else 'output'}"]
+    names = [r.source for r in port.inputs()] if incoming else [r.target for r in port.outputs()]
+    direction = "from" if incoming else "to"
+    if wanted in names:
+        return [part.format(f"{direction} {wanted}") if isinstance(part, str) else part for part in found]
+    return [-1, f"Could not find an incoming connection {direction} {wanted}\r\n"]
+
+
+def _prop(port: PortCore, words: Sequence[Any]) -> list[Any]:
+    action, key = _word(words, 1), _word(words, 2)
+    if action == "get":
+        return _prop_get(port, key)
+    if action == "set":
+        return _prop_set(port, key, words)
+    return [_FAIL, "property action not known"]
+
+
+def _prop_get(port: PortCore, key: str) -> list[Any]:
+    if not key:
+        return [[name, value] for name, value in sorted(port.properties.items())]
+    if key == port.name:
+        return _about(port)
+    if key.startswith("/"):
+        if any(key in (r.source, r.target) for r in (*port.inputs(), *port.outputs())):
+            sched = {"policy": 0, "priority": 0, "tid": threading.get_native_id()}
+            return [["sched", sched], ["qos", {"tos": 0}]]
+        return [_FAIL, f"cannot find any connection to/from {key}"]
+    return [port.properties[key]] if key in port.properties else []
+
+
+def _about(port: PortCore) -> list[Any]:
+    """About the port, its process and its machine."""
+    program, *arguments = sys.orig_argv or ["python"]
+    process = {
+        "arguments": " ".join(arguments), "name": os.path.basename(program),  # noqa: PTH119  # a program's name
+        "pid": os.getpid(), "policy": 0, "priority": 0,
+    }  # fmt: skip
+    kind = {
+        "is_input": int(port.is_input), "is_output": int(port.is_output), "is_rpc": int(port.rpc), "type": port.type_name,
+    }  # fmt: skip
+    return [
+        ["sched", {"policy": 0, "priority": 0, "tid": threading.get_native_id()}],
+        ["process", process],
+        ["platform", {"hostname": port.contact.host, "os": platform.system()}],
+        ["port", kind],
+    ]
+
+
+def _prop_set(port: PortCore, key: str, words: Sequence[Any]) -> list[Any]:
+    """Keep a property. Priorities of processes and packets (the words behind a port's name) are accepted and not applied."""
+    if not key or len(words) < 4 or (key not in port.properties and len(port.properties) >= MOST_PROPERTIES):
+        return [_FAIL]
+    if key.startswith("/"):
+        known = key == port.name or any(key in (r.source, r.target) for r in (*port.inputs(), *port.outputs()))
+        return [_OK if known else _FAIL]
+    port.properties[key] = words[3]
+    return [_OK]
+
+
+def _attach(_port: PortCore, words: Sequence[Any]) -> list[Any]:
+    if _word(words, 1) not in ("in", "out"):
+        return [_FAIL, "attach command must be followed by [out] or [in]"]
+    return [_FAIL, "portmonitor plug-ins are not offered by this port: it is no C++ program"]
+
+
+def _detach(_port: PortCore, words: Sequence[Any]) -> list[Any]:
+    if _word(words, 1) not in ("in", "out"):
+        return [_FAIL, "detach command must be followed by [out] or [in]"]
+    return [_FAIL]
+
+
+_COMMANDS: dict[str, Callable[[PortCore, Sequence[Any]], list[Any]]] = {
+    "help": _help,
+    "ver": _ver,
+    "add": _add,
+    "del": _del,
+    "list": _list,
+    "set": _set,
+    "get": _get,
+    "prop": _prop,
+    "atch": _attach,
+    "dtch": _detach,
+}

@@ -1,0 +1,82 @@
+"""Making a connection: calling another port and introducing oneself."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+
+from yarp_compat.wire import carriers, header
+from yarp_compat.wire.carriers import Carrier, framed
+from yarp_compat.wire.contact import Contact
+
+PATIENCE = 5.0
+"""Seconds that a port has to answer a call."""
+
+
+def dial(
+    contact: Contact, carrier: Carrier, sender: str, qualifiers: str = "", seconds: float = PATIENCE
+) -> socket.socket:
+    """Connect to a port; returns the socket on which messages can be sent (for udp: datagrams).
+
+    Raises:
+        OSError: it cannot be reached, or does not answer as a port does.
+    """
+    end = time.monotonic() + seconds
+    sock = socket.create_connection((contact.host, contact.port), seconds)
+    try:
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.sendall(header.opening(carrier, sender, qualifiers))
+        if carrier is carriers.TEXT_ACK:
+            _line(sock, end)
+        elif not carrier.text:
+            number = framed(_exactly(sock, 8, end))
+            if number is None:
+                msg = f"{contact.name or contact.uri} does not answer as a YARP port"
+                raise ConnectionRefusedError(msg)
+            if carrier is carriers.UDP:
+                return _datagrams(sock, contact.host, number)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def _datagrams(sock: socket.socket, host: str, number: int) -> socket.socket:
+    family, address = sock.family, sock.getpeername()[:1]
+    sock.close()
+    made = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        made.connect((*address, number))
+    except (OSError, OverflowError) as error:
+        made.close()
+        msg = f"{host} offers no usable UDP port ({number})"
+        raise ConnectionRefusedError(msg) from error
+    return made
+
+
+def _exactly(sock: socket.socket, size: int, end: float) -> bytes:
+    came = b""
+    while len(came) < size:
+        came += _some(sock, size - len(came), end)
+    return came
+
+
+def _line(sock: socket.socket, end: float) -> bytes:
+    came = b""
+    while not came.endswith(b"\n"):
+        came += _some(sock, 1, end)
+        if len(came) > header.LONGEST_NAME + 16:
+            msg = "the port answers with a line without end"
+            raise ConnectionRefusedError(msg)
+    return came
+
+
+def _some(sock: socket.socket, size: int, end: float) -> bytes:
+    sock.settimeout(max(0.001, end - time.monotonic()))
+    part = sock.recv(size)
+    if not part:
+        msg = "the port closed the connection at once"
+        raise ConnectionRefusedError(msg)
+    return part

@@ -1,0 +1,155 @@
+"""A port's listening socket, and the connections that have not introduced themselves yet."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import selectors
+import socket
+from collections.abc import Callable
+
+from yarp_compat.ports.loop import Loop
+from yarp_compat.wire import header
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.header import Opening
+
+_log = logging.getLogger("yarp.ports")
+
+PATIENCE = 10.0
+"""Seconds within which a connection must introduce itself."""
+MOST_SILENT = 200
+"""Connections of one port that have not introduced themselves yet; the oldest goes when there are more."""
+_PER_TURN = 32
+_TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+Opened = Callable[[socket.socket, Opening, bytes, tuple[str, int]], None]
+Refused = Callable[[str, WireError], None]
+
+
+class Listener:
+    """Accepts connections, on the shared thread, and hands on those that introduced themselves.
+
+    Args:
+        loop: the shared thread.
+        sock: bound, not yet listening.
+        opened: takes a connection with its introduction, what came behind that, and the peer's address. Called on the shared thread.
+        refused: told of a connection that introduced itself wrongly, with the peer's address.
+    """
+
+    def __init__(self, loop: Loop, sock: socket.socket, opened: Opened, refused: Refused) -> None:
+        self._loop = loop
+        self._sock = sock
+        self._opened = opened
+        self._refused = refused
+        self._silent: dict[socket.socket, _Introduction] = {}
+        self._closed = False
+        sock.listen(128)
+        sock.setblocking(False)
+        loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
+
+    def close(self) -> None:
+        """Listen no longer; connections that were handed on stay."""
+        if self._loop.is_own_thread:
+            self._close()
+            return
+        self._loop.run(self._close)
+
+    def _close(self) -> None:
+        self._closed = True
+        self._loop.ignore(self._sock)
+        self._sock.close()
+        for introduction in list(self._silent.values()):
+            introduction.drop()
+
+    def _accept(self, _: int) -> None:
+        for _ in range(_PER_TURN):
+            try:
+                sock, address = self._sock.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:
+                if error.errno in _TOO_MANY_FILES:
+                    self._make_room(error)
+                return  # the peer went before it was accepted
+            sock.setblocking(False)
+            with contextlib.suppress(OSError):
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if len(self._silent) >= MOST_SILENT:
+                next(iter(self._silent.values())).drop()
+            self._silent[sock] = _Introduction(self, sock, address[:2])
+
+    def _make_room(self, error: OSError) -> None:
+        """No socket is left: close the connection that was silent for longest, or rest a while."""
+        _log.warning("no connection can be accepted: %s", error)
+        if self._silent:
+            next(iter(self._silent.values())).drop()
+            return
+        self._loop.ignore(self._sock)
+        self._loop.later(0.2, self._again)
+
+    def _again(self) -> None:
+        if not self._closed:
+            self._loop.watch(self._sock, selectors.EVENT_READ, self._accept)
+
+    def introduced(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
+        """Hand a connection on."""
+        self._opened(sock, opened, rest, address)
+
+    def refuse(self, address: tuple[str, int], error: WireError) -> None:
+        """Tell of a connection that introduced itself wrongly."""
+        self._refused(f"{address[0]}:{address[1]}", error)
+
+    def forget(self, sock: socket.socket) -> None:
+        """A connection is silent no longer."""
+        self._silent.pop(sock, None)
+
+    @property
+    def loop(self) -> Loop:
+        """The shared thread."""
+        return self._loop
+
+
+class _Introduction:
+    """One connection until it has said who it is."""
+
+    def __init__(self, listener: Listener, sock: socket.socket, address: tuple[str, int]) -> None:
+        self._listener = listener
+        self._sock = sock
+        self._address = address
+        self._came = bytearray()
+        listener.loop.watch(sock, selectors.EVENT_READ, self._read)
+        self._timer = listener.loop.later(PATIENCE, self.drop)
+
+    def drop(self) -> None:
+        """Close the connection."""
+        self._release()
+        self._sock.close()
+
+    def _release(self) -> None:
+        self._listener.loop.ignore(self._sock)
+        self._listener.loop.cancel(self._timer)
+        self._listener.forget(self._sock)
+
+    def _read(self, _: int) -> None:
+        try:
+            came = self._sock.recv(4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            came = b""
+        if not came:
+            self.drop()  # tools look so whether a port is there
+            return
+        self._came += came
+        try:
+            opened = header.parse_opening(self._came)
+        except WireError as error:
+            with contextlib.suppress(OSError):
+                self._sock.send(header.PROTOCOL_ERROR)
+            self._listener.refuse(self._address, error)
+            self.drop()
+            return
+        if opened is not None:
+            self._release()
+            self._listener.introduced(self._sock, opened, bytes(self._came[opened.size :]), self._address)

@@ -1,0 +1,176 @@
+"""The thread that all ports of a process share: it accepts, does handshakes, and sends what a slow peer did not take at once."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import heapq
+import itertools
+import logging
+import os
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+_log = logging.getLogger("yarp.ports")
+_lock = threading.Lock()
+_shared: Loop | None = None
+
+
+@dataclass(slots=True, order=True)
+class Timer:
+    """Something to call at a time of the monotonic clock."""
+
+    at: float
+    order: int
+    callback: Callable[[], None] | None = field(compare=False)
+
+
+def _nothing() -> None:
+    pass
+
+
+class Loop:
+    """One thread that waits for sockets, for times, and for calls from other threads.
+
+    Its callbacks must not block. ``watch`` and ``ignore`` are for its own thread.
+    """
+
+    def __init__(self) -> None:
+        self._selector = selectors.DefaultSelector()
+        self._wake_in, self._wake_out = socket.socketpair()
+        self._wake_in.setblocking(False)
+        self._wake_out.setblocking(False)
+        self._calls: deque[Callable[[], None]] = deque()
+        self._timers: list[Timer] = []
+        self._cancelled = 0
+        self._order = itertools.count()
+        self._running = True
+        self.users = 0
+        self._thread = threading.Thread(target=self._run, name="yarp-loop", daemon=True)
+        self._thread.start()
+
+    def call(self, callback: Callable[[], None]) -> None:
+        """Have the thread call it soon."""
+        self._calls.append(callback)
+        with contextlib.suppress(OSError):
+            self._wake_out.send(b"\0")
+
+    def run(self, callback: Callable[[], None]) -> None:
+        """Have the thread call it, and wait until it did."""
+        done = threading.Event()
+
+        def call() -> None:
+            try:
+                callback()
+            finally:
+                done.set()
+
+        self.call(call)
+        done.wait()
+
+    def later(self, seconds: float, callback: Callable[[], None]) -> Timer:
+        """Have the thread call it after a while; for its own thread."""
+        timer = Timer(time.monotonic() + seconds, next(self._order), callback)
+        heapq.heappush(self._timers, timer)
+        return timer
+
+    def cancel(self, timer: Timer) -> None:
+        """Let a timer not call; for its own thread."""
+        timer.callback = None
+        self._cancelled += 1
+        if self._cancelled > len(self._timers) // 2 + 16:
+            self._timers = [t for t in self._timers if t.callback is not None]
+            heapq.heapify(self._timers)
+            self._cancelled = 0
+
+    def watch(self, sock: socket.socket, events: int, callback: Callable[[int], None]) -> None:
+        """Call back when a socket can be read or written."""
+        try:
+            self._selector.modify(sock, events, callback)
+        except KeyError:
+            self._selector.register(sock, events, callback)
+
+    def ignore(self, sock: socket.socket) -> bool:
+        """Watch a socket no longer, before it is closed; whether it was watched."""
+        try:
+            self._selector.unregister(sock)
+        except (KeyError, ValueError):
+            return False
+        return True
+
+    @property
+    def is_own_thread(self) -> bool:
+        """Whether the caller is this loop's thread."""
+        return threading.current_thread() is self._thread
+
+    def stop(self) -> None:
+        """End the thread, after what it was told to do before."""
+
+        def end() -> None:
+            self._running = False
+
+        self.call(end)
+        if not self.is_own_thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        self._selector.register(self._wake_in, selectors.EVENT_READ, self._woken)
+        while self._running:
+            pause = max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None
+            for key, events in self._selector.select(pause):
+                self._do(functools.partial(key.data, events))
+            while self._timers and self._timers[0].at <= time.monotonic():
+                self._do(heapq.heappop(self._timers).callback or _nothing)
+            while self._calls:
+                self._do(self._calls.popleft())
+        self._selector.close()
+        self._wake_in.close()
+        self._wake_out.close()
+
+    def _woken(self, _: int) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while self._wake_in.recv(4096):
+                pass
+
+    def _do(self, callback: Callable[[], None]) -> None:
+        try:
+            callback()
+        except Exception:
+            _log.exception("a callback of the ports' shared thread failed")
+
+
+def acquire() -> Loop:
+    """The process's loop, for a port that opens; it ends with the last port."""
+    global _shared
+    with _lock:
+        if _shared is None:
+            _shared = Loop()
+        _shared.users += 1
+        return _shared
+
+
+def release(loop: Loop) -> None:
+    """Give back what :func:`acquire` returned."""
+    global _shared
+    with _lock:
+        loop.users -= 1
+        last = loop.users == 0
+        if last and _shared is loop:
+            _shared = None
+    if last:
+        loop.stop()
+
+
+def _forked() -> None:
+    global _shared, _lock
+    _lock = threading.Lock()
+    _shared = None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)

@@ -1,0 +1,74 @@
+"""A message as the owner of a port gets it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Protocol
+
+from yarp_compat.wire.carriers import Carrier
+from yarp_compat.wire.contact import Route
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+
+Payload = Buffer | Sequence[Buffer]
+
+
+class Peer(Protocol):
+    """The connection a message came on.
+
+    Attributes:
+        route: the connection's names.
+        carrier: how it carries.
+        profile: the dialect its sender writes, where that is known; whoever recognises it by a message may set it.
+    """
+
+    route: Route
+    carrier: Carrier
+    profile: Profile | None
+
+
+class Message:
+    """One message that came in.
+
+    Attributes:
+        payload: its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect.
+        envelope: its envelope's text, or "".
+        peer: the connection it came on.
+        wants_reply: the sender waits for a reply; one is always sent, an empty Bottle where the owner gives none.
+    """
+
+    __slots__ = ("_answered", "_later", "envelope", "payload", "peer", "replied", "wants_reply")
+
+    def __init__(self, payload: Buffer, envelope: str, peer: Peer, wants_reply: bool = False) -> None:
+        self.payload = payload
+        self.envelope = envelope
+        self.peer = peer
+        self.wants_reply = wants_reply
+        self.replied: Payload | None = None
+        self._later: threading.Event | None = None
+        self._answered = False
+
+    def reply(self, payload: Payload) -> None:
+        """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere)."""
+        if not self._answered:
+            self._answered = True
+            self.replied = payload
+            if self._later is not None:
+                self._later.set()
+
+    def later(self) -> None:
+        """Say, before the port's ``on_message`` returns, that the reply comes later and from another thread: the connection waits for it."""
+        self._later = threading.Event()
+
+    def give_up(self) -> None:
+        """Let the connection go on without a reply, if there is none yet."""
+        self._answered = True
+        if self._later is not None:
+            self._later.set()
+
+    def wait(self) -> Payload | None:
+        """The reply, or None; waits where it was said to come later."""
+        if self._later is not None:
+            self._later.wait()
+        return self.replied

@@ -1,0 +1,51 @@
+"""A name server for the ports of one process."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+from yarp_compat.wire.contact import Contact
+
+
+class LocalNaming:
+    """Knows the ports of one process: no socket, and nothing outlives the process. For tests, and for ports that nobody else is to find."""
+
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        self._host = host
+        self._lock = threading.Lock()
+        self._contacts: dict[str, Contact] = {}
+        self._properties: dict[tuple[str, str], tuple[Any, ...]] = {}
+        self._numbers = itertools.count(1)
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+        """Register a port; with a number of 0 it is to choose one, and register again."""
+        with self._lock:
+            if name in ("", "..."):
+                name = f"/tmp/port/{next(self._numbers)}"  # noqa: S108  # a port's name, no file's
+            contact = Contact(name, host or self._host, port, carrier or "tcp")
+            self._contacts[name] = contact
+            return contact
+
+    def unregister(self, name: str) -> None:
+        """Forget a port."""
+        with self._lock:
+            self._contacts.pop(name, None)
+
+    def query(self, name: str) -> Contact | None:
+        """Where a port is."""
+        with self._lock:
+            return self._contacts.get(name)
+
+    def set_property(self, name: str, key: str, *values: Any) -> None:
+        """Keep values under a key of a port."""
+        self._properties[name, key] = values
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:
+        """The values under a key of a port."""
+        return self._properties.get((name, key), ())
+
+    def announce(self, name: str, alive: bool = True) -> None:
+        """Nobody waits for it here."""

@@ -1,0 +1,164 @@
+"""Reading a connection: whole messages or lines from a blocking socket, with few system calls and bounded memory."""
+
+from __future__ import annotations
+
+import socket
+import struct
+
+from yarp_compat.wire import command, message
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.message import Buffer
+
+_BUFFER = 1 << 16
+_AT_ONCE = 1 << 20
+"""Bytes given to a large message before any of it came; more only as it comes."""
+_COMMON = struct.Struct("<18sIIiIsBBB")
+_COMMON_SIZE = _COMMON.size
+_COMMON_HEAD = message.prefix(0)[: message.HEAD_SIZE]
+_KEYS = {ord(k): k for k in "dDaq"}
+
+
+class Stream:
+    """A connection's incoming bytes.
+
+    Payloads are ``bytes``, or for large ones a writable memoryview of memory that is used again only when nothing refers to it any more.
+    """
+
+    def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = message.DEFAULT_LIMIT) -> None:
+        self._sock = sock
+        self._limit = limit
+        self._buffer = bytearray(max(4096, len(already)))
+        self._buffer[: len(already)] = already
+        self._view = memoryview(self._buffer)
+        self._start = 0
+        self._end = len(already)
+        self._spare = bytearray()
+
+    def message(self) -> tuple[str, str, Buffer] | None:
+        """Wait for a message: its key, its command's text where there is one, and its payload; None at the connection's end.
+
+        Raises:
+            WireError: for anything that is no message, and for one above the limit.
+            OSError: where the connection broke.
+        """
+        while True:
+            start, have = self._start, self._end - self._start
+            if have >= _COMMON_SIZE:
+                head, first, length, _, _, mark, key, _, _ = _COMMON.unpack_from(self._buffer, start)
+                if head == _COMMON_HEAD and first == 8 and key in _KEYS and mark == b"~":
+                    if length > self._limit:
+                        msg = f"a message announces {length} bytes; at most {self._limit} are taken"
+                        raise WireError(msg)
+                    self._start = start + _COMMON_SIZE
+                    payload = self._take(length)
+                    return None if payload is None else (_KEYS[key], "", payload)
+            if have >= message.HEAD_SIZE:
+                size = message.index_size(self._buffer, start)
+                if have >= size:
+                    return self._uncommon(start, size)
+            if not self._more():
+                return None
+
+    def _uncommon(self, start: int, size: int) -> tuple[str, str, Buffer] | None:
+        """A message with an envelope, in many blocks, or with a command alone."""
+        total = message.body_size(self._buffer, start, self._limit)
+        self._start = start + size
+        body = self._take(total)
+        if body is None:
+            return None
+        word, begin = command.parse(body)
+        return word.key, word.text, body[begin:]
+
+    def _take(self, length: int) -> Buffer | None:
+        start = self._start
+        if length <= self._end - start:
+            self._start = start + length
+            return bytes(self._view[start : start + length])
+        if length > _BUFFER // 2:
+            return self._take_large(length)
+        while self._end - self._start < length:
+            if not self._more():
+                return None
+        self._start += length
+        return bytes(self._view[self._start - length : self._start])
+
+    def _take_large(self, length: int) -> Buffer | None:
+        memory = self._memory(length)
+        have = self._end - self._start
+        memory[:have] = self._view[self._start : self._end]
+        self._start = self._end = 0
+        while have < length:
+            if have == len(memory):
+                memory.extend(bytes(min(length - have, have)))
+            with memoryview(memory) as view, view[have:] as rest:
+                got = self._sock.recv_into(rest)
+            if not got:
+                return None
+            have += got
+        self._spare = memory
+        return memoryview(memory)
+
+    def _memory(self, length: int) -> bytearray:
+        """Memory for a large message: the last one's, where it has the right size and nobody looks at it any more."""
+        spare, self._spare = self._spare, bytearray()
+        if len(spare) == length:
+            try:
+                spare.append(spare.pop())
+            except BufferError:
+                pass
+            else:
+                return spare
+        return bytearray(min(length, _AT_ONCE))
+
+    def line(self, longest: int | None = None) -> bytes | None:
+        r"""Wait for a line; without its end (``\n`` or ``\r\n``). None at the connection's end.
+
+        Raises:
+            WireError: for a line longer than ``longest`` bytes, by default the connection's limit.
+        """
+        longest = min(longest or self._limit, self._limit)
+        parts: list[bytes] = []
+        size = 0
+        while True:
+            end = self._buffer.find(b"\n", self._start, self._end)
+            stop = self._end if end < 0 else end
+            size += stop - self._start
+            if size > longest:
+                msg = f"a line is longer than {longest} bytes"
+                raise WireError(msg)
+            parts.append(bytes(self._view[self._start : stop]))
+            self._start = stop if end < 0 else end + 1
+            if end >= 0:
+                return b"".join(parts).removesuffix(b"\r")
+            if not self._more():
+                return None
+
+    def exactly(self, length: int) -> bytes | None:
+        """Wait for that many bytes; None at the connection's end."""
+        parts: list[bytes] = []
+        while length:
+            part = bytes(self._view[self._start : min(self._end, self._start + length)])
+            self._start += len(part)
+            length -= len(part)
+            parts.append(part)
+            if length and not self._more():
+                return None
+        return b"".join(parts)
+
+    def left(self) -> bytes:
+        """What came and was not read."""
+        return bytes(self._view[self._start : self._end])
+
+    def _more(self) -> bool:
+        """Wait for more bytes; False at the connection's end."""
+        have = self._end - self._start
+        if have == 0 or self._end == len(self._buffer):
+            self._buffer[:have] = self._buffer[self._start : self._end]
+            self._start, self._end = 0, have
+            if len(self._buffer) < _BUFFER:
+                self._view.release()
+                self._buffer.extend(bytes(_BUFFER - len(self._buffer)))
+                self._view = memoryview(self._buffer)
+        got = self._sock.recv_into(self._view[self._end :])
+        self._end += got
+        return bool(got)
