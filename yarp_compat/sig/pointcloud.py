@@ -1,0 +1,255 @@
+"""Point clouds (`yarp/sig/PointCloud.h`): points as PCL lays them out, one after another.
+
+On the wire: width, height, the points' type (int32 each) and whether all are finite (1 byte), all without tags; then a
+vector whose tag is a double's and whose elements are points. So a cloud is no legal Bottle and has no text form.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.tags import LIST
+from yarp_compat.wire.writer import Writer
+
+_HEADER = struct.Struct("<iiib")
+_LIST = struct.Struct("<ii")
+
+
+class PointType(IntEnum):
+    """What points hold, as the sum of what YARP numbers in `yarp/sig/PointCloudTypes.h`; the kinds that YARP sends."""
+
+    XY = 1 << 0
+    XYZ = 1 << 1
+    XYZ_RGBA = 1 << 1 | 1 << 2 | 1 << 25
+    XYZ_I = 1 << 1 | 1 << 3
+    INTEREST_POINT_XYZ = 1 << 1 | 1 << 4
+    NORMAL = 1 << 5 | 1 << 6 | 1 << 25
+    XYZ_NORMAL = 1 << 1 | 1 << 5 | 1 << 6 | 1 << 25
+    XYZ_NORMAL_RGBA = 1 << 1 | 1 << 2 | 1 << 5 | 1 << 6 | 1 << 24
+
+
+def _layout(size: int, floats: Mapping[str, int], color: int | None = None) -> np.dtype[Any]:
+    places = {name: ("<f4", place) for name, place in floats.items()}
+    if color is not None:
+        places.update({name: ("u1", color + place) for place, name in enumerate("bgra")})
+    kinds, offsets = zip(*places.values(), strict=True)
+    return np.dtype({"names": list(places), "formats": list(kinds), "offsets": list(offsets), "itemsize": size})
+
+
+_XYZ = {"x": 0, "y": 4, "z": 8}
+_NORMAL = {"normal_x": 16, "normal_y": 20, "normal_z": 24}
+LAYOUTS: Mapping[int, np.dtype[Any]] = {
+    PointType.XY: _layout(8, {"x": 0, "y": 4}),
+    PointType.XYZ: _layout(16, _XYZ),
+    PointType.XYZ_RGBA: _layout(32, _XYZ, color=16),
+    PointType.XYZ_I: _layout(32, {**_XYZ, "intensity": 16}),
+    PointType.INTEREST_POINT_XYZ: _layout(32, {**_XYZ, "strength": 16}),
+    PointType.NORMAL: _layout(32, {"normal_x": 0, "normal_y": 4, "normal_z": 8, "curvature": 16}),
+    PointType.XYZ_NORMAL: _layout(48, {**_XYZ, **_NORMAL, "curvature": 32}),
+    PointType.XYZ_NORMAL_RGBA: _layout(48, {**_XYZ, **_NORMAL, "curvature": 36}, color=32),
+}
+"""A point of each type: the names, types and places of its numbers, and its size in bytes."""
+
+
+class PointCloud(Portable):
+    """A cloud of whatever points come; the classes below hold one type, and convert what is of another.
+
+    Args:
+        width: points in a row.
+        height: rows; 1 where the points have no order.
+    """
+
+    TYPE = "yarp/pointCloud"
+    point: ClassVar[int] = PointType.XYZ
+    """The points' type, to begin with."""
+    fixed: ClassVar[bool] = False
+    """Whether it stays."""
+
+    def __init__(self, width: int = 0, height: int = 1) -> None:
+        self._point = int(self.point)
+        self._height = height
+        self._points: NDArray[Any] = np.zeros(width * height, LAYOUTS[self._point])
+        self.dense = True
+
+    @classmethod
+    def of(cls, points: NDArray[Any], *, dense: bool = True) -> Self:
+        """A cloud of an array of points (of a type in ``LAYOUTS``), one row or (height, width), which it shares.
+
+        Raises:
+            ValueError: the points are of another type.
+        """
+        cloud = cls()
+        kind = cloud._point if cls.fixed else next((kind for kind, form in LAYOUTS.items() if form == points.dtype), 0)
+        if points.dtype != LAYOUTS.get(kind):
+            msg = f"a {cls.__name__} cannot be made of points of {points.dtype}"
+            raise ValueError(msg)
+        cloud._point, cloud._height = kind, points.shape[0] if points.ndim == 2 else 1
+        cloud._points, cloud.dense = np.ascontiguousarray(points).reshape(-1), dense
+        return cloud
+
+    def numpy(self) -> NDArray[Any]:
+        """The points, row after row, as an array of records in the cloud's memory."""
+        return self._points
+
+    def bytes_of_points(self) -> memoryview:
+        """The points' bytes, uncopied."""
+        return memoryview(self._points.view(np.uint8)) if self._points.size else memoryview(b"")
+
+    def width(self) -> int:
+        """Points in a row."""
+        return len(self._points) // self._height if self._height else 0
+
+    def height(self) -> int:
+        """Rows."""
+        return self._height
+
+    def size(self) -> int:
+        """How many points there are."""
+        return len(self._points)
+
+    __len__ = size
+
+    def getPointType(self) -> int:
+        """What the points hold."""
+        return self._point
+
+    def isOrganized(self) -> bool:
+        """Whether the points are in rows, as an image's."""
+        return self._height > 1
+
+    def isDense(self) -> bool:
+        """Whether all points are finite."""
+        return self.dense
+
+    def dataSizeBytes(self) -> int:
+        """Bytes of the points."""
+        return self._points.nbytes
+
+    def wireSizeBytes(self) -> int:
+        """Bytes of the points and of the header."""
+        return _HEADER.size + self._points.nbytes
+
+    def resize(self, width: int, height: int = 1) -> None:
+        """Become of this size, with the points that fit."""
+        points = np.zeros(width * height, self._points.dtype)
+        kept = min(len(points), len(self._points))
+        points[:kept] = self._points[:kept]
+        self._points, self._height = points, height
+
+    def clear(self) -> None:
+        """Become empty."""
+        self._points, self._height = self._points[:0], 0
+
+    def push_back(self, point: Any) -> None:
+        """Append a point, a record or a tuple of its numbers; the points have no order then."""
+        self._points = np.append(self._points, np.array([point], self._points.dtype))
+        self._height = 1
+
+    def toString(self) -> str:
+        """The points, one on a line."""
+        return "\n".join(" ".join(map(str, point)) for point in self._points.tolist())
+
+    toString_c = toString
+
+    def __getitem__(self, index: int) -> Any:
+        return self._points[index]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, PointCloud):
+            return NotImplemented
+        mine = (self._point, self._height, self.dense, self._points.tolist())
+        return mine == (other._point, other._height, other.dense, other._points.tolist())
+
+    __hash__ = None  # type: ignore[assignment] # it changes
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.width()} x {self._height} of type {self._point}>"
+
+    def _write(self, out: Writer) -> None:
+        out.raw(_HEADER, self.width(), self._height, self._point, int(self.dense))
+        out.begin(len(self._points), out.profile.float64_tag)
+        out.block(self.bytes_of_points())
+
+    def _read(self, source: Reader) -> None:
+        width, height, kind, dense = source.raw(_HEADER)
+        layout = LAYOUTS.get(kind)
+        if layout is None:
+            raise WireError(f"there are no points of type {kind}")
+        code, count = source.raw(_LIST)
+        if code != LIST | source.profile.float64_tag:
+            raise WireError(f"a cloud's points are a list of doubles by its tag, not {code}")
+        if min(width, height) < 0 or width * height != count:
+            raise WireError(f"a cloud of {width} x {height} does not have {count} points")
+        points = np.frombuffer(source.block(count * layout.itemsize), layout, count)
+        if self.fixed and kind != self._point:
+            points, kind = _converted(points, LAYOUTS[self._point]), self._point
+        self._point, self._height, self._points, self.dense = kind, height, points, bool(dense)
+
+
+def _converted(points: NDArray[Any], layout: np.dtype[Any]) -> NDArray[Any]:
+    """The same points with the numbers of another type, 0 where they lack them."""
+    made = np.zeros(len(points), layout)
+    for name in set(layout.names or ()) & set(points.dtype.names or ()):
+        made[name] = points[name]
+    return made
+
+
+class _Fixed(PointCloud):
+    fixed = True
+
+
+class PointCloudXY(_Fixed):
+    """Points in a plane."""
+
+    point = PointType.XY
+
+
+class PointCloudXYZ(_Fixed):
+    """Points in space."""
+
+    point = PointType.XYZ
+
+
+class PointCloudXYZRGBA(_Fixed):
+    """Points in space with a colour."""
+
+    point = PointType.XYZ_RGBA
+
+
+class PointCloudXYZI(_Fixed):
+    """Points in space with an intensity."""
+
+    point = PointType.XYZ_I
+
+
+class PointCloudInterestPointXYZ(_Fixed):
+    """Points in space with a strength."""
+
+    point = PointType.INTEREST_POINT_XYZ
+
+
+class PointCloudNormal(_Fixed):
+    """Normals with a curvature."""
+
+    point = PointType.NORMAL
+
+
+class PointCloudXYZNormal(_Fixed):
+    """Points in space with their normals."""
+
+    point = PointType.XYZ_NORMAL
+
+
+class PointCloudXYZNormalRGBA(_Fixed):
+    """Points in space with their normals and a colour."""
+
+    point = PointType.XYZ_NORMAL_RGBA
