@@ -1,6 +1,6 @@
 """What can go wrong with names.
 
-NamingError
+NamingError (an OSError)
   NoNameServerError     no name server where it should be, or it does not answer in time
   NameRefusedError      the name server answered, and did not take the name
   PortError             a port does not exist, does not answer, or does not do what it is asked
@@ -10,7 +10,7 @@ NamingError
 from __future__ import annotations
 
 
-class NamingError(Exception):
+class NamingError(OSError):
     """A name could not be asked for or registered."""
 
 

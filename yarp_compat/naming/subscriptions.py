@@ -6,6 +6,7 @@ that it listens (``announce``) and the other did so before. Mode ``from`` ends w
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,8 @@ from yarp_compat.wire.contact import Contact, is_name
 
 MAX_SUBSCRIPTIONS = 10_000
 MAX_TOPICS = 10_000
+MAX_WISHES = 10_000
+"""Connections that one command may ask for: through a topic they are all its sources times all its targets."""
 MODES = ("", "from", "to")
 
 
@@ -161,7 +164,8 @@ class Subscriptions:
     def _joined(self, topic: str) -> Iterator[Subscription]:
         sources = [s.source for s in self._all.values() if s.target.name == topic]
         targets = [s.target for s in self._all.values() if s.source.name == topic]
-        return (Subscription(source, target) for source in sources for target in targets)
+        every = (Subscription(source, target) for source in sources for target in targets)
+        return itertools.islice(every, MAX_WISHES)
 
     def _wanted(self, s: Subscription) -> list[Wish]:
         source, target = self._known(s.source.name), self._known(s.target.name)

@@ -44,15 +44,21 @@ def raw(contact: Contact, sender: str, text: str, timeout: float = TIMEOUT) -> l
     try:
         with LineSocket(contact.host, contact.port, timeout) as peer:
             peer.send(f"CONNACK {sender}\r\n{text}".encode("utf-8", "surrogateescape"))
-            welcome = peer.line()
-            if not welcome.startswith("Welcome"):
-                msg = f"what answers at {contact.uri} is no YARP port: it says {welcome[:60]!r}"
-                raise PortError(msg)
-            lines: list[str] = []
-            while (line := peer.line()) != _ACK:
-                lines.append(line)
-            return lines
+            return _answer(peer, contact)
+    except PortError:
+        raise
     except OSError as err:
         why = f"no answer within {timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
         msg = f"{contact.name or 'the port'} does not answer at {contact.uri}: {why}"
         raise PortError(msg) from None
+
+
+def _answer(peer: LineSocket, contact: Contact) -> list[str]:
+    welcome = peer.line()
+    if not welcome.startswith("Welcome"):
+        msg = f"what answers at {contact.uri} is no YARP port: it says {welcome[:60]!r}"
+        raise PortError(msg)
+    lines: list[str] = []
+    while (line := peer.line()) != _ACK:
+        lines.append(line)
+    return lines

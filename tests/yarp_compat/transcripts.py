@@ -1,0 +1,64 @@
+"""Reads the transcripts of real YARP programs in ``tests/yarp_compat/data``: who said which bytes on which connection.
+
+A transcript's line ``[time] connN C>S from->to (size B)`` is followed by its bytes in hexadecimal; C opened the connection.
+They were recorded on loopback from YARP 3.12.3 and 4.0, each file says which.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_DATA = Path(__file__).parent / "data"
+_HEAD = re.compile(r"\[ *(?P<time>[\d.]+)\] conn(?P<number>\d+) (?P<what>OPEN|C>S|S>C|UDP|FIN|RST)(?P<rest>.*)")
+_ENDS = re.compile(r"(\d+)->(\d+)")
+_BYTES = re.compile(r" +[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)")
+
+
+@dataclass(frozen=True)
+class Step:
+    """Bytes in one direction: ``C`` (who opened the connection) or ``S`` said them, or ``U`` sent them as a datagram."""
+
+    by: str
+    data: bytes
+    time: float
+
+
+@dataclass
+class Talk:
+    """One connection.
+
+    Attributes:
+        number: as in the file.
+        port: the TCP port that was called.
+        steps: what was said, in order; pieces in one direction are joined.
+    """
+
+    number: int
+    port: int
+    steps: list[Step] = field(default_factory=list)
+
+    def said(self, by: str) -> bytes:
+        """All that one side said."""
+        return b"".join(step.data for step in self.steps if step.by == by)
+
+
+def read(name: str) -> list[Talk]:
+    """All connections of a transcript, in the order in which they were opened."""
+    talks: dict[int, Talk] = {}
+    by, moment, talk = "", 0.0, None
+    for line in (_DATA / name).read_text().splitlines():
+        if found := _HEAD.match(line):
+            ends = _ENDS.search(found["rest"])
+            port = int(ends[2]) if ends else 0
+            talk = talks.setdefault(int(found["number"]), Talk(int(found["number"]), port))
+            by, moment = {"C>S": "C", "S>C": "S", "UDP": "U"}.get(found["what"], ""), float(found["time"])
+        elif talk is not None and by and (found := _BYTES.match(line)):
+            data = bytes.fromhex(found[1])
+            last = talk.steps[-1] if talk.steps else None
+            if last is not None and last.by == by and (last.time == moment or by != "U"):
+                talk.steps[-1] = Step(by, last.data + data, moment)
+            else:
+                talk.steps.append(Step(by, data, moment))
+    return list(talks.values())

@@ -1,0 +1,279 @@
+"""A name server of our own, which YARP programs use without knowing.
+
+It is a port like any other (``/root``): what name clients say in lines, what anybody sends it as a Bottle over any
+carrier, and what a browser asks all reach the same registry. It remembers ports, properties and persistent connections
+in a file, so that its restart disturbs nobody, and forgets ports at whose address nobody listens any more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from yarp_compat.naming import probe
+from yarp_compat.naming.answers import OLD, Answer, lines
+from yarp_compat.naming.config import DEFAULT_NAMESPACE, DEFAULT_PORT, Address, replace_file
+from yarp_compat.naming.connector import Connector
+from yarp_compat.naming.errors import NamingError
+from yarp_compat.naming.registry import Registry
+from yarp_compat.naming.state import dumps, loads
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text, to_text
+
+_log = logging.getLogger("yarp.names")
+
+LIMIT = 64 * 1024
+"""Bytes of the longest command that is taken."""
+GC_SECONDS = 60.0
+YOUNG = 5.0
+"""Seconds for which a port is not looked for: it is registered before it listens."""
+_PROBE_SECONDS = 1.0
+
+
+class NameServer:
+    """A name server; a context manager.
+
+    Args:
+        host: the address at which it listens and by which others are told of it.
+        port: its TCP port number; ports get numbers from two above it.
+        namespace: its port's name, which is the network's name.
+        state: the file in which it remembers; None: a restart knows nothing, and ports must register again.
+        gc_seconds: how often it looks for dead ports; 0: only when told (``gc``).
+        profile: how it writes Bottles to those who did not send any.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = DEFAULT_PORT,
+        *,
+        namespace: str = DEFAULT_NAMESPACE,
+        state: Path | None = None,
+        gc_seconds: float = GC_SECONDS,
+        profile: Profile = Profile.YARP3,
+    ) -> None:
+        self.address = Address(host, port)
+        self.contact = self.address.contact(namespace)
+        self.registry = Registry(self.contact)
+        self._state = state
+        self._gc_seconds = gc_seconds
+        self._profile = profile
+        self._lock = threading.Lock()
+        self._suspects: set[str] = set()
+        self._wake = threading.Event()
+        self._dirty = False
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._naming = _Own(self)
+        self._connector = Connector(self._naming)
+        self._port = PortCore(
+            namespace,
+            on_message=self._bottle,
+            on_line=self._line,
+            naming=self._naming,
+            host=host,
+            number=port,
+            limit=LIMIT,
+            profile=profile,
+        )
+
+    def open(self) -> Self:
+        """Remember what the last one knew, and serve.
+
+        Raises:
+            NamingError: the address is taken, or not one of this machine.
+        """
+        self._recall()
+        try:
+            self._port.open()
+        except OSError as err:
+            a = self.address
+            msg = (
+                f"no name server can be opened at {a.host} port {a.port}: {err.strerror or err}."
+                " Is another one running there? ('midspan yarp where' asks it)"
+            )
+            raise NamingError(msg) from None
+        self._thread = threading.Thread(target=self._keep_house, name="yarp name server", daemon=True)
+        self._thread.start()
+        for wish in self.registry.wanted():
+            self._connector.want(wish)
+        return self
+
+    def close(self) -> None:
+        """Serve no more; ports and their connections are not touched, and what is known stays in the file."""
+        self._connector.close()
+        self._port.close()
+        self._stop.set()
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, err: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def apply(self, words: Sequence[Any], remote: str) -> Answer:
+        """Answer one command and do what follows from it."""
+        if words and words[-1] == "gc" and len(words) < 3:
+            self.collect(patience=1)
+        with self._lock:
+            answer = self.registry.apply(words, remote)
+        self._follow(answer)
+        return answer
+
+    def collect(self, patience: int = 2) -> list[str]:
+        """Forget the ports at whose address nobody listens; returns their names.
+
+        Args:
+            patience: 2: only those that were found dead the time before too; 1: at once.
+        """
+        with self._lock:
+            entries = [
+                e.contact
+                for e in self.registry.entries()
+                if e.contact.carrier not in ("mcast", "topic")
+                and e.contact != self.contact
+                and self.registry.age(e) > YOUNG
+            ]
+        dead = probe.refused(entries, _PROBE_SECONDS)
+        gone = sorted(dead if patience == 1 else dead & self._suspects)
+        self._suspects = dead - set(gone)
+        if gone:
+            _log.info("nobody listens any more at the ports %s: forgotten", ", ".join(gone[:20]))
+            with self._lock:
+                answer = self.registry.remove(gone)
+            self._follow(answer)
+        return gone
+
+    def _follow(self, answer: Answer) -> None:
+        for event in answer.events:
+            self._port.write(encode(event, self._profile))
+        for wish in answer.wishes:
+            self._connector.want(wish)
+        if answer.changed:
+            self._dirty = True
+            self._wake.set()
+
+    # -- who asks ------------------------------------------------------------------------------------------------
+
+    def _line(self, line: str, address: tuple[str, int]) -> bytes:
+        """A command of a name client, as a line; the answer's bytes."""
+        try:
+            words = from_text(line)
+        except WireError as err:
+            _log.info("a command of %s cannot be read: %s", address[0], err)
+            words = []
+        values = self.apply(words, address[0]).values
+        return _in_lines(values) if values[:1] == [OLD] else _encoded(to_text(values) + "\r\n")
+
+    def _bottle(self, message: Message) -> None:
+        """A command as a Bottle, over any carrier."""
+        try:
+            words = decode(message.payload, message.peer.profile)
+        except WireError as err:
+            _log.info("a command of %s cannot be read: %s", message.peer.route.source, err)
+            words = []
+        values = self.apply(words, message.peer.address[0]).values
+        if values[:1] == [OLD]:
+            message.reply(_in_lines(values), plain=True)
+        else:
+            message.reply(encode(values, message.peer.profile or self._profile))
+
+    # -- what it remembers ---------------------------------------------------------------------------------------
+
+    def _recall(self) -> None:
+        if self._state is None:
+            return
+        try:
+            data = self._state.read_bytes()
+        except FileNotFoundError:
+            return
+        except OSError as err:
+            _log.warning("%s cannot be read (%s): the name server begins empty", self._state, err.strerror)
+            return
+        try:
+            loads(self.registry, data)
+        except ValueError as err:
+            spoilt = self._state.with_suffix(self._state.suffix + ".spoilt")
+            with contextlib.suppress(OSError):
+                self._state.replace(spoilt)
+            _log.warning("%s: %s; it is kept as %s, and the name server begins empty", self._state, err, spoilt.name)
+            self.registry = Registry(self.contact)
+
+    def _save(self) -> None:
+        if self._state is None:
+            return
+        with self._lock:
+            data = dumps(self.registry)
+        try:
+            self._state.parent.mkdir(parents=True, exist_ok=True)
+            replace_file(self._state, data)
+        except OSError as err:
+            _log.warning("%s cannot be written (%s): a restart will not know the ports", self._state, err.strerror)
+
+    def _keep_house(self) -> None:
+        """Write down what changes, at most a tenth of the time; look for dead ports now and then."""
+        looked = time.monotonic()
+        while not self._stop.is_set() or self._dirty:
+            left = looked + self._gc_seconds - time.monotonic() if self._gc_seconds else threading.TIMEOUT_MAX
+            self._wake.wait(max(0.0, left))
+            self._wake.clear()
+            if self._dirty:
+                self._dirty = False
+                began = time.monotonic()
+                self._save()
+                self._stop.wait(9 * (time.monotonic() - began))
+            if self._gc_seconds and not self._stop.is_set() and time.monotonic() - looked >= self._gc_seconds:
+                self.collect()
+                looked = time.monotonic()
+
+
+class _Own:
+    """The naming of the name server's own port: it knows everything, and needs no connection for that."""
+
+    def __init__(self, server: NameServer) -> None:
+        self._server = server
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+        del name, host, port, carrier
+        return self._server.contact
+
+    def unregister(self, name: str) -> None:
+        pass
+
+    def query(self, name: str) -> Contact | None:
+        return self._server.registry.find(name)
+
+    def set_property(self, name: str, key: str, *values: Any) -> None:
+        pass
+
+    def get_property(self, name: str, key: str) -> Sequence[Any]:
+        del name, key
+        return ()
+
+    def announce(self, name: str, alive: bool = True) -> None:
+        pass
+
+
+def _in_lines(values: Sequence[Any]) -> bytes:
+    return _encoded("".join(f"{line}\r\n" for line in lines(values)))
+
+
+def _encoded(text: str) -> bytes:
+    return text.encode("utf-8", "surrogateescape")
