@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -40,3 +42,41 @@ def test_imports_point_one_way(part: str) -> None:
         if not any(name == good or name.startswith(good + ".") for good in allowed)
     }
     assert not wrong
+
+
+def test_yarp_compat_stands_alone() -> None:
+    allowed = sys.stdlib_module_names | {"yarp_compat", "numpy"}
+    folder = ROOT / "yarp_compat"
+    found = {(file.relative_to(folder), *found) for file in folder.rglob("*.py") for found in every_import(file)}
+    wrong = {f"{file} imports {name}" for file, name, _ in found if name.split(".")[0] not in allowed}
+    eager = {
+        f"{file} imports {name}: where numpy is missing, the rest still works"
+        for file, name, lazy in found
+        if name.split(".")[0] == "numpy" and not lazy and file.parts[0] not in ("sig", "dev")
+    }
+    assert found
+    assert not wrong | eager
+
+
+def every_import(file: Path) -> set[tuple[str, bool]]:
+    """All names that a file imports, and whether it does so only when it comes to need them."""
+    tree = ast.parse(file.read_text())
+    at_once = {id(node) for node in _at_once(tree)}
+    names = set[tuple[str, bool]]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            names.add((node.module if node.level == 0 and node.module else "yarp_compat", id(node) not in at_once))
+        elif isinstance(node, ast.Import):
+            names.update((alias.name, id(node) not in at_once) for alias in node.names)
+    return names
+
+
+def _at_once(node: ast.AST) -> Iterator[ast.AST]:
+    """What runs when a file is imported: not its functions, nor what is there for the type checker only."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            continue
+        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            continue
+        yield child
+        yield from _at_once(child)

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from yarp_compat.wire.decoder import Data, Decoder
+from yarp_compat.wire.decoder import Data, Decoder, array
 from yarp_compat.wire.encoder import Buffer, Encoder
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
@@ -19,6 +19,8 @@ _ENCODER3 = Encoder(Profile.YARP3)
 _ENCODER4 = Encoder(Profile.YARP4)
 _DECODER3 = Decoder(Profile.YARP3)
 _DECODER4 = Decoder(Profile.YARP4)
+_ARRAYS3 = Decoder(Profile.YARP3, array)
+_ARRAYS4 = Decoder(Profile.YARP4, array)
 
 
 def encode(values: Sequence[Any], profile: Profile) -> bytes:
@@ -54,15 +56,18 @@ def decode(data: Data, profile: Profile | None = None) -> list[Any]:
     Raises:
         WireError: they are no Bottle of that profile.
     """
-    if profile is not None:
-        return _whole(_DECODER3 if profile is Profile.YARP3 else _DECODER4, data)
-    try:
-        return _whole(_DECODER3, data)
-    except WireError as err:
-        try:
-            return _whole(_DECODER4, data)
-        except WireError:
-            raise err from None
+    return _decoded(data, profile, _DECODER3, _DECODER4)
+
+
+def decode_arrays(data: Data, profile: Profile | None = None) -> Any:
+    """The same with numpy arrays for lists of numbers of one type, the Bottle's own among them.
+
+    They are views into the data, writable where it is: nothing is copied.
+
+    Raises:
+        WireError: they are no Bottle of that profile.
+    """
+    return _decoded(data, profile, _ARRAYS3, _ARRAYS4)
 
 
 def decode_prefix(data: Data, profile: Profile, offset: int = 0) -> tuple[list[Any], int]:
@@ -74,7 +79,19 @@ def decode_prefix(data: Data, profile: Profile, offset: int = 0) -> tuple[list[A
     return (_DECODER3 if profile is Profile.YARP3 else _DECODER4).bottle(data, offset)
 
 
-def _whole(decoder: Decoder, data: Data) -> list[Any]:
+def _decoded(data: Data, profile: Profile | None, decoder3: Decoder, decoder4: Decoder) -> Any:
+    if profile is not None:
+        return _whole(decoder3 if profile is Profile.YARP3 else decoder4, data)
+    try:
+        return _whole(decoder3, data)
+    except WireError as err:
+        try:
+            return _whole(decoder4, data)
+        except WireError:
+            raise err from None
+
+
+def _whole(decoder: Decoder, data: Data) -> Any:
     values, end = decoder.bottle(data, 0)
     if end != len(data):
         raise WireError(f"the Bottle ends at byte {end}, but {len(data) - end} bytes follow")

@@ -12,7 +12,7 @@ from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
 
-Data = bytes | memoryview
+Data = bytes | bytearray | memoryview
 Array = Callable[[Data, int, int, str], Any]
 """Makes an array of numbers: from the data, at an offset, so many, of a format character."""
 
@@ -61,7 +61,7 @@ class Decoder:
         self._sizes = tags.sizes(profile)
         self._array = array
 
-    def bottle(self, data: Data, offset: int) -> tuple[list[Any], int]:
+    def bottle(self, data: Data, offset: int) -> tuple[Any, int]:
         """A Bottle with its header; and where it ends.
 
         Raises:
@@ -69,7 +69,7 @@ class Decoder:
         """
         return self._bottle(data, offset, 0)
 
-    def _bottle(self, data: Data, offset: int, depth: int) -> tuple[list[Any], int]:
+    def _bottle(self, data: Data, offset: int, depth: int) -> tuple[Any, int]:
         if len(data) - offset < 8:
             raise Incomplete(f"a list's header at byte {offset} needs 8 bytes; there are {len(data) - offset}")
         tag, count = _TWO(data, offset)
@@ -174,7 +174,7 @@ class Decoder:
         if tag in (tags.INT8, tags.INT16):
             return self._small(data, offset)
         if tag & ~tags.UNIT == tags.LIST | tags.DICT:
-            return self._dict(data, offset + 4, depth + 1)
+            return self._dict(data, offset + 4, depth + 2)
         raise WireError(f"{tag} at byte {offset} is no type's tag")
 
     def _small(self, data: Data, offset: int) -> tuple[int, int]:
@@ -193,6 +193,13 @@ class Decoder:
         """A Bottle of lists, each a key and its values; YARP skips what is no such list."""
         entries, end = self._bottle(data, offset, depth)
         return dict_of(entries), end
+
+
+def array(data: Data, offset: int, count: int, code: str) -> Any:
+    """A numpy array that looks at the numbers where they are."""
+    import numpy as np
+
+    return np.frombuffer(data, f"<{code}", count, offset) if count else np.empty(0, f"<{code}")
 
 
 def dict_of(entries: list[Any]) -> dict[str, Any]:

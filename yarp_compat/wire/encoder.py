@@ -9,10 +9,9 @@ from typing import Any
 
 from yarp_compat.wire import tags
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
-
-Buffer = bytes | bytearray | memoryview
 
 _TWO = Struct("<ii").pack
 _WORD = Struct("<i").pack
@@ -158,7 +157,7 @@ class Encoder:
 
     def _dict(self, value: dict[Any, Any], out: list[Buffer], depth: int) -> None:
         out.append(_WORD(tags.LIST | tags.DICT))
-        self.bottle(entries_of(value), out, depth + 1)
+        self.bottle(entries_of(value), out, depth + 2)
 
     def _array(self, values: Any, out: list[Buffer], depth: int) -> None:
         """A numpy array: its numbers as they lie in memory; of more dimensions: lists of lists."""

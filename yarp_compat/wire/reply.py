@@ -1,0 +1,194 @@
+"""Where a Bottle ends in bytes that come in pieces. Replies have no length, so their structure must tell.
+
+Each byte is looked at once, however many pieces it comes in; strings and runs of numbers are skipped, not read.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+
+from yarp_compat.wire import tags
+from yarp_compat.wire.decoder import Data
+from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.profile import Profile
+
+LIMIT = 64 << 20
+"""Bytes of the largest reply, unless told otherwise."""
+
+ACKNOWLEDGED = 8
+"""Bytes of what follows a reply on tcp: ``YA``, a number, ``RP``."""
+
+_WORD = Struct("<i").unpack_from
+_TWO = Struct("<ii").unpack_from
+
+
+class ReplyReader:
+    """Finds the end of one reply.
+
+    Args:
+        profile: whose bytes it has; None where that is unknown: then it is recognised where the bytes tell.
+        acked: whether an acknowledgement follows it, which helps to recognise the profile.
+        limit: bytes that it may have.
+    """
+
+    def __init__(self, profile: Profile | None = None, *, acked: bool = True, limit: int = LIMIT) -> None:
+        self.profile = profile
+        self._acked = acked
+        self._walks = {one: _Walk(one, limit) for one in ([profile] if profile is not None else Profile)}
+
+    def end(self, data: Data) -> int:
+        """Where the reply ends.
+
+        Args:
+            data: all that has come of it up to now.
+
+        Raises:
+            WireError: it is no Bottle, or longer than the limit; Incomplete: it has not ended yet.
+        """
+        ends: dict[Profile, int] = {}
+        missing: Incomplete | None = None
+        wrong: WireError | None = None
+        for profile, walk in list(self._walks.items()):
+            try:
+                ends[profile] = walk.end(data)
+            except Incomplete as err:
+                missing = err
+            except WireError as err:
+                wrong = err
+                del self._walks[profile]
+        if not self._walks:
+            raise wrong or WireError("no profile is left")
+        if len(self._walks) == 1 and ends:
+            return self._decided(*ends.items())
+        return self._between(ends, missing, data)
+
+    def _between(self, ends: dict[Profile, int], missing: Incomplete | None, data: Data) -> int:
+        """The end where the bytes may be those of both profiles."""
+        if len(set(ends.values())) == 1 and missing is None:
+            return next(iter(ends.values()))
+        for profile, end in ends.items():
+            if self._acked and len(data) == end + ACKNOWLEDGED and _is_acknowledgement(data, end):
+                return self._decided((profile, end))
+        if missing is not None:
+            raise missing
+        if self._acked and len(data) < max(ends.values()) + ACKNOWLEDGED:
+            raise Incomplete("the acknowledgement is missing, which tells where the reply ends")
+        return self._decided((Profile.YARP3, ends[Profile.YARP3]))
+
+    def _decided(self, found: tuple[Profile, int]) -> int:
+        self.profile, end = found
+        return end
+
+
+def recognise(data: Data) -> Profile | None:
+    """Whose bytes a whole Bottle has; None where they are the same for all.
+
+    A tag that only one profile has tells, and where both may be meant, which of them accounts for every byte.
+
+    Raises:
+        WireError: it is no Bottle of any profile.
+    """
+    fits: list[Profile] = []
+    wrong: WireError | None = None
+    for profile in Profile:
+        try:
+            end = _Walk(profile, len(data)).end(data)
+        except WireError as err:
+            wrong = wrong or err
+            continue
+        if end == len(data):
+            fits.append(profile)
+    if not fits:
+        raise wrong or WireError(f"the Bottle ends before its {len(data)} bytes do")
+    return fits[0] if len(fits) == 1 else None
+
+
+class _Walk:
+    """Goes through one Bottle of one profile, and on where it stopped when more of it has come."""
+
+    def __init__(self, profile: Profile, limit: int) -> None:
+        self._sizes = tags.sizes(profile)
+        self._limit = limit
+        self._at = 0
+        self._begun = False
+        self._left = 0
+        """Elements left in the list at hand."""
+        self._unit = 0
+        self._outer: list[tuple[int, int]] = []
+
+    def end(self, data: Data) -> int:
+        if not self._begun:
+            self._enter(data, 0)
+            self._begun = True
+        whole = len(data)
+        while True:
+            while self._left == 0:
+                if not self._outer:
+                    if self._at > whole:
+                        raise Incomplete(f"{self._at - whole} bytes are missing")
+                    return self._at
+                self._left, self._unit = self._outer.pop()
+            if self._unit == 0:
+                self._element(data)
+            else:
+                self._block(data, self._at)
+
+    def _element(self, data: Data) -> None:
+        """Pass one element with its tag, or enter it where it is a list."""
+        at = self._at
+        (tag,) = _WORD(data, self._there(data, at, 4))
+        size = self._sizes.get(tag)
+        if size is not None:
+            self._left -= 1
+            self._skip(at + 4 + size)
+        elif tag in (tags.STRING, tags.BLOB):
+            self._block(data, at + 4)
+        elif tag & ~tags.UNIT == tags.LIST:
+            self._enter(data, at)
+        elif tag & ~tags.UNIT == tags.LIST | tags.DICT:
+            self._enter(data, at + 4)
+        else:
+            raise WireError(f"{tag} at byte {at} is no type's tag")
+
+    def _block(self, data: Data, at: int) -> None:
+        """Pass a string or blob whose length is at this place."""
+        (length,) = _WORD(data, self._there(data, at, 4))
+        if length < 0:
+            raise WireError(f"the string or blob at byte {at + 4} has a length of {length}")
+        self._left -= 1
+        self._skip(at + 4 + length)
+
+    def _enter(self, data: Data, at: int) -> None:
+        """Pass a list's header; its elements come next, or behind them where they are numbers."""
+        tag, count = _TWO(data, self._there(data, at, 8))
+        unit = tag & tags.UNIT
+        if tag & ~tags.UNIT != tags.LIST:
+            raise WireError(f"{tag:#x} at byte {at} is no list's tag")
+        if unit and unit not in (tags.STRING, tags.BLOB) and unit not in self._sizes:
+            raise WireError(f"{unit} in a list's tag at byte {at} is no type's tag")
+        if len(self._outer) > tags.MAX_DEPTH:
+            raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {at}")
+        if count < 0:
+            raise WireError(f"the list at byte {at} has {count} elements")
+        size = self._sizes.get(unit, 0)
+        least = size or (5 if unit == 0 else 4)
+        if at + 8 + count * least > self._limit:
+            raise WireError(f"a list of {count} elements at byte {at} is beyond the limit of {self._limit} bytes")
+        if self._begun:
+            self._outer.append((self._left - 1, self._unit))
+        self._left, self._unit = (0, 0) if size else (count, unit)
+        self._skip(at + 8 + count * size)
+
+    def _skip(self, to: int) -> None:
+        if to > self._limit:
+            raise WireError(f"the Bottle is longer than the limit of {self._limit} bytes")
+        self._at = to
+
+    def _there(self, data: Data, at: int, size: int) -> int:
+        if at + size > len(data):
+            raise Incomplete(f"{at + size - len(data)} bytes are missing")
+        return at
+
+
+def _is_acknowledgement(data: Data, at: int) -> bool:
+    return bytes(data[at : at + 2]) == b"YA" and bytes(data[at + 6 : at + 8]) == b"RP"
