@@ -1,0 +1,234 @@
+"""Messages as Python values: a message is a mapping with ROS 2's field names, an array of numbers a numpy array.
+
+How single numbers and arrays look is left to subclasses where it differs, such as those of `bridge.messages.json`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bridge.messages.definition import (
+    PRIMITIVE_SIZES,
+    STRING_TYPES,
+    STRUCT_FORMATS,
+    Definition,
+    Field,
+    FieldType,
+    Schema,
+    Shape,
+)
+from bridge.messages.errors import ConversionError
+
+HEADER = b"\0\1\0\0"
+"""What CDR in little-endian begins with."""
+
+DTYPES = {base: np.dtype("<" + code) for base, code in STRUCT_FORMATS.items()}
+"""Each ROS 2 primitive as numpy names it."""
+
+
+class Reader:
+    """Reads a message that was checked before; arrays of numbers share its memory."""
+
+    def __init__(self, schema: Schema, cdr: bytes) -> None:
+        self.schema = schema
+        self.data = memoryview(cdr)
+        self.at = len(HEADER)
+
+    def message(self) -> dict[str, Any]:
+        """The whole message."""
+        return self.structure(self.schema.root)
+
+    def structure(self, definition: Definition) -> dict[str, Any]:
+        """A nested message."""
+        if not definition.fields:
+            self.at += 1
+        return {field.name: self.value(field.type) for field in definition.fields}
+
+    def value(self, kind: FieldType) -> Any:
+        """A field."""
+        if kind.shape is Shape.SINGLE:
+            return self.element(kind)
+        count = kind.length if kind.shape is Shape.ARRAY else int(self.number("uint32"))
+        if kind.base in PRIMITIVE_SIZES:
+            size = PRIMITIVE_SIZES[kind.base]
+            return self.numbers(self.take(size, count * size) if count else b"", kind.base)
+        return [self.element(kind.element) for _ in range(count)]
+
+    def element(self, kind: FieldType) -> Any:
+        """A field of one value, or one element of an array."""
+        if kind.nested:
+            return self.structure(self.schema.types[kind.base])
+        if kind.base == "string":
+            end = int(self.number("uint32")) + self.at
+            start, self.at = self.at, end
+            return str(self.data[start : end - 1], "utf-8", "replace")
+        if kind.base == "wstring":
+            units = np.frombuffer(self.take(4, 4 * int(self.number("uint32"))), "<u4")
+            return units.astype("<u2").tobytes().decode("utf-16-le", errors="replace")
+        return self.plain(self.number(kind.base), kind.base)
+
+    def plain(self, value: Any, base: str) -> Any:  # noqa: ARG002 - for subclasses
+        """One number, as it is given out."""
+        return value
+
+    def numbers(self, content: memoryview | bytes, base: str) -> Any:
+        """An array of numbers, as it is given out."""
+        return np.frombuffer(content, DTYPES[base])
+
+    def number(self, base: str) -> Any:
+        """The number that comes next."""
+        size = PRIMITIVE_SIZES[base]
+        return struct.unpack("<" + STRUCT_FORMATS[base], self.take(size, size))[0]
+
+    def take(self, alignment: int, size: int) -> memoryview:
+        """The bytes that come next."""
+        self.at += -(self.at - len(HEADER)) % alignment
+        start, self.at = self.at, self.at + size
+        return self.data[start : self.at]
+
+
+class Writer:
+    """Writes a message; ``where`` is the path of the value at hand, for errors."""
+
+    def __init__(self, schema: Schema) -> None:
+        self.schema = schema
+        self.data = bytearray()
+
+    def message(self, value: Mapping[str, Any]) -> bytes:
+        """The whole message in CDR; fields that are missing have their defaults.
+
+        Raises:
+            ConversionError: a field is unknown or its value does not fit; names the field.
+        """
+        self.structure(self.schema.root, value, "")
+        return HEADER + self.data
+
+    def structure(self, definition: Definition, value: Any, where: str) -> None:
+        """A nested message."""
+        if not isinstance(value, Mapping):
+            raise wrong(where, f"an object with the fields of {definition.name}", value)
+        names = [field.name for field in definition.fields]
+        for name in value:
+            if name not in names:
+                near = difflib.get_close_matches(str(name), names, 1)
+                hint = f"did you mean {near[0]!r}?" if near else f"its fields: {', '.join(names) or 'none'}"
+                msg = f"{definition.name} has no field {join(where, str(name))!r}; {hint}"
+                raise ConversionError(msg)
+        if not definition.fields:
+            self.data.append(0)
+        for field in definition.fields:
+            given = value[field.name] if field.name in value else _default(field)
+            self.value(field.type, given, join(where, field.name))
+
+    def value(self, kind: FieldType, value: Any, where: str) -> None:
+        """A field."""
+        if kind.shape is Shape.SINGLE:
+            self.element(kind, value, where)
+            return
+        items = self.items(kind, value, where)
+        if kind.shape is Shape.ARRAY and len(items) != kind.length:
+            raise ConversionError(f"{where} has {kind.length} elements, not {len(items)}")
+        if kind.shape is Shape.SEQUENCE:
+            if kind.length and len(items) > kind.length:
+                raise ConversionError(f"{where} has at most {kind.length} elements, not {len(items)}")
+            self.number("uint32", len(items), where)
+        if isinstance(items, bytes):
+            self.data += items
+            return
+        if isinstance(items, np.ndarray):
+            self.align(PRIMITIVE_SIZES[kind.base] if len(items) else 1)
+            self.data += np.ascontiguousarray(items, DTYPES[kind.base]).tobytes()
+            return
+        for number, item in enumerate(items):
+            self.element(kind.element, item, f"{where}[{number}]")
+
+    def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
+        """The elements of an array or sequence."""
+        if isinstance(value, np.ndarray) and value.ndim == 1 and kind.base in PRIMITIVE_SIZES:
+            return value
+        if isinstance(value, list | tuple):
+            return value
+        raise wrong(where, "a list", value)
+
+    def element(self, kind: FieldType, value: Any, where: str) -> None:
+        """A field of one value, or one element of an array."""
+        if kind.nested:
+            self.structure(self.schema.types[kind.base], value, where)
+        elif kind.base in PRIMITIVE_SIZES:
+            self.number(kind.base, value, where)
+        else:
+            self.text(kind, value, where)
+
+    def text(self, kind: FieldType, value: Any, where: str) -> None:
+        """A string."""
+        if not isinstance(value, str):
+            raise wrong(where, "text", value)
+        wide = kind.base == "wstring"
+        try:
+            content = value.encode("utf-16-le" if wide else "utf-8")
+        except UnicodeEncodeError as err:
+            raise ConversionError(f"{where} cannot be encoded: {err}") from None
+        length = len(content) // 2 if wide else len(content)
+        if kind.string_bound and length > kind.string_bound:
+            raise ConversionError(f"{where} has at most {kind.string_bound} characters, not {length}")
+        if wide:
+            self.number("uint32", length, where)
+            self.data += np.frombuffer(content, "<u2").astype("<u4").tobytes()
+        else:
+            self.number("uint32", length + 1, where)
+            self.data += content + b"\0"
+
+    def number(self, base: str, value: Any, where: str) -> None:
+        """A number."""
+        self.align(PRIMITIVE_SIZES[base])
+        try:
+            self.data += struct.pack("<" + STRUCT_FORMATS[base], self.plain(base, value, where))
+        except (struct.error, OverflowError):
+            raise wrong(where, base, value) from None
+
+    def plain(self, base: str, value: Any, where: str) -> bool | int | float:
+        """The value as ``base`` wants it; never a bool for a number or the other way round."""
+        if base == "bool":
+            if isinstance(value, bool):
+                return value
+        elif base.startswith("float"):
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                return float(value)
+        elif not isinstance(value, bool) and (
+            isinstance(value, int) or (isinstance(value, float) and value.is_integer())
+        ):
+            return int(value)
+        raise wrong(where, base, value)
+
+    def align(self, alignment: int) -> None:
+        """Pad to a multiple of ``alignment``."""
+        self.data += bytes(-len(self.data) % alignment)
+
+
+def _default(field: Field) -> Any:
+    """The value of a field that is not given."""
+    if field.default is not None:
+        return field.default
+    kind = field.type
+    if kind.shape is Shape.SEQUENCE:
+        return ()
+    single: Any = {} if kind.nested else "" if kind.base in STRING_TYPES else False if kind.base == "bool" else 0
+    return single if kind.shape is Shape.SINGLE else (single,) * kind.length
+
+
+def join(where: str, name: str) -> str:
+    """The path of a field within what ``where`` is the path of."""
+    return f"{where}.{name}" if where else name
+
+
+def wrong(where: str, wanted: str, value: Any) -> ConversionError:
+    """The error of a value that does not fit its field."""
+    shown = repr(value)
+    return ConversionError(
+        f"{where or 'the message'} is {wanted}, not {shown[:60] + ('...' if len(shown) > 60 else '')}"
+    )

@@ -1,0 +1,1 @@
+"""What YARP ports carry for each ROS message, and the ways from CDR to there and back."""

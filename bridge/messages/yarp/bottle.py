@@ -1,0 +1,88 @@
+"""The default content of a port: the Bottle that YARP's own converter makes of a ROS message.
+
+Its fields are ROS 1's, as that converter knows no others: a header has its ``seq``, which ROS 2's has not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bridge.messages.definition import Schema, World
+from bridge.messages.errors import ConversionError
+from bridge.messages.parser import closure, parse_full
+from bridge.messages.registry import Registry
+from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, stamp_of, with_stamp
+from bridge.messages.yarp.layout import Layout, MismatchError
+from bridge.messages.yarp.loose import to_ros1
+from yarp_compat.wire.decoder import Data, Decoder
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+
+
+class BottleCodec(Codec):
+    """Messages as nested lists in field order.
+
+    Raises:
+        MessageTypeError: the type is unknown, or neither ROS 1 nor YARP can say it.
+    """
+
+    def __init__(self, registry: Registry, type_name: str, type_hash: str, profile: Profile) -> None:
+        self._profile = profile
+        self._stamped = is_stamped(registry.schema(type_name, type_hash))
+        out = registry.hub_to_ros1(type_name, type_hash)
+        back = registry.ros1_to_hub(out.target.name, out.target.type_id)
+        self._to_ros1, self._to_cdr = out.convert, back.convert
+        self._schema = _schema(out.target.name, out.target.definition)
+        self._layouts = {known: Layout(self._schema, known) for known in Profile}
+        self.ros1 = out.target
+
+    def to_yarp(self, cdr: bytes) -> Outgoing:
+        """See `Codec`."""
+        assert self._to_ros1 is not None
+        bottle = self._layouts[self._profile].to_bottle(self._to_ros1(cdr))
+        return Outgoing([bottle], (stamp_of(cdr) or None) if self._stamped else None)
+
+    def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
+        """See `Codec`; a Bottle that people wrote by hand is taken too."""
+        assert self._to_cdr is not None
+        data = bytes(payload)
+        try:
+            ros1 = self._layouts[profile or self._profile].to_ros1(data)
+        except MismatchError:
+            ros1 = to_ros1(self._schema, decode_arrays(data, profile))
+        cdr = self._to_cdr(ros1)
+        return with_stamp(cdr, stamp_ns) if self._stamped else cdr
+
+
+def _schema(name: str, definition: str) -> Schema:
+    types = parse_full(definition, name, World.ROS1)
+    return closure(types[name], types)
+
+
+def decode_arrays(data: Data, profile: Profile | None) -> list[Any]:
+    """A Bottle's values; lists of numbers are arrays.
+
+    Raises:
+        ConversionError: it is no Bottle.
+    """
+    first: WireError | None = None
+    for decoder in _DECODERS.values() if profile is None else (_DECODERS[profile],):
+        try:
+            values, end = decoder.bottle(data, 0)
+        except WireError as err:
+            first = first or err
+            continue
+        if end == len(data):
+            return list(values)
+        first = first or WireError(f"it ends at byte {end}, but {len(data) - end} bytes follow")
+    raise ConversionError(f"no Bottle: {first}")
+
+
+def _array(data: Data, offset: int, count: int, code: str) -> np.ndarray:
+    return np.frombuffer(data, np.dtype("<" + code), count, offset)
+
+
+_DECODERS = {profile: Decoder(profile, _array) for profile in Profile}

@@ -1,0 +1,201 @@
+"""Short Bottles of chosen fields, as people use them: ``linear.x linear.y deg(angular.z)``.
+
+An entry is the path of a field by its ROS 2 names, ``path[2]`` for one element of an array, ``deg(path)`` for an angle
+that is in degrees there, a number that always stands at its place, or a text in single quotes that does. A time is one
+number of seconds, an array a list.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, FieldType, Schema, Shape
+from bridge.messages.errors import ConversionError, MessageTypeError
+from bridge.messages.values import DTYPES, Reader, Writer, wrong
+from bridge.messages.yarp.bottle import decode_arrays
+from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, split_time, stamp_of
+from bridge.messages.yarp.loose import shown
+from yarp_compat.wire.binary import encode_parts
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+_ENTRY = re.compile(
+    r"(?P<deg>deg\()?(?P<path>[A-Za-z]\w*(?:\.[A-Za-z]\w*)*)(?:\[(?P<index>\d{1,9})\])?(?(deg)\))", re.ASCII
+)
+_TEXT = re.compile(r"'[^']*'")
+_TIMES = frozenset(TIME_TYPES.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value of the Bottle.
+
+    Attributes:
+        text: as it was written, for errors.
+        path: the field's names from the root on; none for a constant.
+        index: element of an array, None for the whole field.
+        degrees: whether an angle is in degrees there.
+        constant: what always stands at this place.
+    """
+
+    text: str
+    path: tuple[str, ...] = ()
+    index: int | None = None
+    degrees: bool = False
+    constant: int | float | str | None = None
+
+    @classmethod
+    def parse(cls, entry: float | str) -> Entry:
+        """Read an entry; raises `ValueError` where it is none."""
+        if isinstance(entry, int | float):
+            return cls(str(entry), constant=entry)
+        if _TEXT.fullmatch(entry):
+            return cls(entry, constant=entry[1:-1])
+        found = _ENTRY.fullmatch(entry)
+        if not found:
+            msg = f"{entry!r} is no field: give linear.x, deg(angular.z), position[0], a number, or a text in quotes"
+            raise ValueError(msg)
+        index = None if found["index"] is None else int(found["index"])
+        return cls(entry, tuple(found["path"].split(".")), index, found["deg"] is not None)
+
+
+class FieldsCodec(Codec):
+    """Messages as a Bottle of chosen fields.
+
+    Args:
+        schema: the ROS 2 type.
+        entries: what stands in the Bottle.
+        profile: of the ports that are written to.
+        frame: frame of the header where the Bottle has none.
+
+    Raises:
+        MessageTypeError: the type has no such field.
+    """
+
+    def __init__(self, schema: Schema, entries: Sequence[Entry], profile: Profile, frame: str = "") -> None:
+        self._schema, self._profile, self._frame = schema, profile, frame
+        self._stamped = is_stamped(schema)
+        self._entries = [(entry, _resolve(schema, entry)) for entry in entries]
+
+    def to_yarp(self, cdr: bytes) -> Outgoing:
+        """See `Codec`."""
+        message = Reader(self._schema, cdr).message()
+        values = [_get(message, entry, kind) for entry, kind in self._entries]
+        return Outgoing(encode_parts(values, self._profile), (stamp_of(cdr) or None) if self._stamped else None)
+
+    def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
+        """See `Codec`; what the Bottle does not tell has its default."""
+        values = decode_arrays(bytes(payload), profile)
+        if len(values) != len(self._entries):
+            wanted = " ".join(entry.text for entry, _ in self._entries)
+            raise ConversionError(
+                f"the Bottle has {len(values)} values, not the {len(self._entries)} of ({wanted}): {shown(values)}"
+            )
+        message: dict[str, Any] = {}
+        if self._stamped:
+            _put(message, ("header", "frame_id"), self._frame)
+            _put(message, ("header", "stamp"), _time(time.time_ns() if stamp_ns is None else stamp_ns))
+        for (entry, kind), value in zip(self._entries, values, strict=True):
+            if kind is None:
+                _compare(entry, value)
+            elif entry.index is not None:
+                raise ConversionError(f"{entry.text} is one element of an array, which the Bottle cannot give alone")
+            else:
+                _put(message, entry.path, _taken(entry, kind, value))
+        return Writer(self._schema).message(message)
+
+
+def _resolve(schema: Schema, entry: Entry) -> FieldType | None:
+    """The type of an entry's field, None for a constant."""
+    if not entry.path:
+        return None
+    definition, kind = schema.root, FieldType("")
+    for number, name in enumerate(entry.path):
+        fields = {field.name: field.type for field in definition.fields}
+        if name not in fields:
+            names = ", ".join(fields) or "none"
+            raise MessageTypeError(f"{definition.name} has no field {name!r} ({entry.text})", f"its fields: {names}")
+        kind = fields[name]
+        if number + 1 < len(entry.path):
+            if not kind.nested or kind.shape is not Shape.SINGLE:
+                raise MessageTypeError(f"{name} in {entry.text} has no fields of its own", "end the path there")
+            definition = schema.types[kind.base]
+    if entry.index is not None:
+        if kind.shape is Shape.SINGLE or (kind.shape is Shape.ARRAY and entry.index >= kind.length):
+            raise MessageTypeError(f"{entry.text}: {'.'.join(entry.path)} has no such element", "leave the index out")
+        kind = kind.element
+    if kind.nested and not (kind.base in _TIMES and kind.shape is Shape.SINGLE):
+        names = ", ".join(field.name for field in schema.types[kind.base].fields)
+        raise MessageTypeError(f"{entry.text} is a whole {kind.base}", f"name one of its fields: {names}")
+    if entry.degrees and not (kind.base.startswith("float") and kind.shape is Shape.SINGLE):
+        raise MessageTypeError(f"{entry.text}: only one number can be in degrees", "leave deg() out")
+    return kind
+
+
+def _get(message: Mapping[str, Any], entry: Entry, kind: FieldType | None) -> Any:
+    if kind is None:
+        return entry.constant
+    value: Any = message
+    for name in entry.path:
+        value = value[name]
+    if entry.index is not None:
+        if entry.index >= len(value):
+            raise ConversionError(f"{entry.text}: the message has {len(value)} elements there")
+        value = value[entry.index]
+        value = value.item() if isinstance(value, np.generic) else value
+    if kind.base in _TIMES:
+        return value["sec"] + value["nanosec"] / 1e9
+    if isinstance(value, np.ndarray):
+        return value.astype(np.int8) if value.dtype.kind == "?" else value
+    return math.degrees(value) if entry.degrees else value
+
+
+def _put(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
+    for name in path[:-1]:
+        message = message.setdefault(name, {})
+    message[path[-1]] = value
+
+
+def _compare(entry: Entry, value: Any) -> None:
+    if value != entry.constant or isinstance(value, bool):
+        raise ConversionError(f"a value of the Bottle is {value!r}, where the rule has {entry.text}")
+
+
+def _taken(entry: Entry, kind: FieldType, value: Any) -> Any:
+    """A Bottle's value as the field takes it."""
+    if kind.base in _TIMES:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise wrong(entry.text, "a time in seconds", value)
+        return _time(round(value * 1e9))
+    if kind.shape is not Shape.SINGLE:
+        return _items(entry, kind, value)
+    if kind.base == "bool" and isinstance(value, int) and value in (0, 1):
+        return bool(value)
+    if isinstance(value, Vocab) and kind.base == "string":
+        return str(value)
+    if kind.base.startswith("float") and isinstance(value, int | float) and not isinstance(value, bool):
+        return math.radians(value) if entry.degrees else float(value)
+    return value
+
+
+def _items(entry: Entry, kind: FieldType, value: Any) -> Any:
+    if isinstance(value, bytes) and PRIMITIVE_SIZES.get(kind.base) == 1:
+        return np.frombuffer(value, DTYPES[kind.base])
+    if isinstance(value, np.ndarray):
+        return value if kind.base.startswith("float") else value.tolist()
+    if isinstance(value, list):
+        return value
+    raise wrong(entry.text, "a list", value)
+
+
+def _time(time_ns: int) -> dict[str, int]:
+    seconds, rest = split_time(time_ns)
+    return {"sec": seconds, "nanosec": rest}

@@ -1,0 +1,344 @@
+"""How YARP's own converter of ROS messages lays a message out in a Bottle: a plan of its bytes, for both directions.
+
+A message is a list of its fields, each with its own tag, also where all are of one type; a nested message is such a
+list again, and a time a list of two integers. An array of numbers or strings is a list of that one type, also when it
+is empty, and octets are one-byte integers; an array of messages is a list of lists. Unsigned numbers are written as the
+signed ones of the same bits. (``yarpidl_rosmsg``, RosTypeCodeGenYarp.cpp in YARP 3.5, whose readers take nothing else.)
+
+ROS 1's bytes have the same fields in the same order without tags. So a plan is a list of steps that walk both at once.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from bridge.messages.definition import PRIMITIVE_SIZES, TIME_DEFINITIONS, Definition, FieldType, Schema, Shape
+from bridge.messages.errors import ConversionError, MessageTypeError
+from yarp_compat.wire import tags
+from yarp_compat.wire.profile import Profile
+
+LONG_RUN = 16
+"""Messages of fixed size in an array from which numpy is quicker than one after the other."""
+
+_TWO = struct.Struct("<ii")
+_COUNT = struct.Struct("<I")
+_TAGS = {
+    "bool": tags.INT8,
+    "byte": tags.INT8,
+    "char": tags.INT8,
+    "int8": tags.INT8,
+    "uint8": tags.INT8,
+    "int16": tags.INT16,
+    "uint16": tags.INT16,
+    "int32": tags.INT32,
+    "uint32": tags.INT32,
+    "int64": tags.INT64,
+    "uint64": tags.INT64,
+}
+
+
+class MismatchError(Exception):
+    """The bytes are not laid out so; they may still say the same in another way."""
+
+
+class Step(Protocol):
+    """One part of a message. Both methods append the part's bytes to ``out`` and give the place behind it."""
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """From ROS 1's bytes, which were checked before."""
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """From a Bottle's bytes, whoever sent them; raises `MismatchError`."""
+
+
+class Run:
+    """Numbers of fixed size with what stands before each; whole messages where nothing else is in them."""
+
+    def __init__(self) -> None:
+        self._pairs: list[tuple[bytes, int]] = []
+        self._constant = b""
+
+    def constant(self, tag: int, count: int | None = None) -> None:
+        """Tags and counts that are always the same."""
+        self._constant += struct.pack("<i", tag) + (b"" if count is None else struct.pack("<i", count))
+
+    def copy(self, size: int) -> None:
+        """Bytes that are the same on both wires."""
+        self._pairs.append((self._constant, size))
+        self._constant = b""
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing in it."""
+        return not self._pairs and not self._constant
+
+    @property
+    def ros1_size(self) -> int:
+        """Bytes in ROS 1."""
+        return sum(size for _, size in self._pairs)
+
+    @property
+    def bottle_size(self) -> int:
+        """Bytes in a Bottle."""
+        return sum(len(before) + size for before, size in self._pairs) + len(self._constant)
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        for before, size in self._pairs:
+            out.append(before)
+            out.append(data[at : at + size])
+            at += size
+        out.append(self._constant)
+        return at
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        for before, size in self._pairs:
+            begin = at + len(before)
+            if data[at:begin] != before:
+                raise MismatchError
+            at = begin + size
+            out.append(data[begin:at])
+        end = at + len(self._constant)
+        if data[at:end] != self._constant or end > len(data):
+            raise MismatchError
+        return end
+
+    def columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """The Bottle's bytes with zeros for the numbers, and which of them are the numbers'."""
+        parts = [part for before, size in self._pairs for part in (before, bytes(size))]
+        marks = [part for before, size in self._pairs for part in (bytes(len(before)), b"\1" * size)]
+        template = np.frombuffer(b"".join([*parts, self._constant]), np.uint8)
+        return template, np.frombuffer(b"".join([*marks, bytes(len(self._constant))]), np.bool_)
+
+
+class Text:
+    """A string with its tag."""
+
+    _TAG = struct.pack("<i", tags.STRING)
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        end = at + 4 + _COUNT.unpack_from(data, at)[0]
+        out += (self._TAG, data[at:end])
+        return int(end)
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        if data[at : at + 4] != self._TAG:
+            raise MismatchError
+        return _string(data, at + 4, out)
+
+
+class Texts:
+    """An array of strings; ``length`` is 0 where it is of any."""
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _ros1_count(data, at, self._length)
+        out.append(_TWO.pack(tags.LIST | tags.STRING, count))
+        begin = at
+        for _ in range(count):
+            at += 4 + _COUNT.unpack_from(data, at)[0]
+        out.append(data[begin:at])
+        return at
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _bottle_count(data, at, tags.LIST | tags.STRING, self._length, 4, out)
+        for _ in range(count):
+            at = _string(data, at, out)
+        return at
+
+
+class Numbers:
+    """A sequence of numbers."""
+
+    def __init__(self, tag: int, size: int) -> None:
+        self._tag, self._size = tags.LIST | tag, size
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _ros1_count(data, at, 0)
+        end = at + count * self._size
+        out += (_TWO.pack(self._tag, count), data[at:end])
+        return end
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _bottle_count(data, at, self._tag, 0, self._size, out)
+        end = at + count * self._size
+        out.append(data[at:end])
+        return end
+
+
+class Messages:
+    """An array of messages; ``length`` is 0 where it is of any."""
+
+    def __init__(self, length: int, steps: list[Step]) -> None:
+        self._length, self._steps = length, steps
+        self._run = steps[0] if len(steps) == 1 and isinstance(steps[0], Run) else None
+
+    def to_bottle(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _ros1_count(data, at, self._length)
+        out.append(_TWO.pack(tags.LIST, count))
+        if self._run is not None and count >= LONG_RUN:
+            return _many_to_bottle(self._run, data, at, count, out)
+        for _ in range(count):
+            for step in self._steps:
+                at = step.to_bottle(data, at, out)
+        return at
+
+    def to_ros1(self, data: bytes, at: int, out: list[bytes]) -> int:
+        """See `Step`."""
+        count, at = _bottle_count(data, at, tags.LIST, self._length, 8, out)
+        if self._run is not None and count >= LONG_RUN:
+            return _many_to_ros1(self._run, data, at, count, out)
+        for _ in range(count):
+            for step in self._steps:
+                at = step.to_ros1(data, at, out)
+        return at
+
+
+def _many_to_bottle(run: Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
+    template, numbers = run.columns()
+    table = np.tile(template, (count, 1))
+    if run.ros1_size:
+        table[:, numbers] = np.frombuffer(data, np.uint8, count * run.ros1_size, at).reshape(count, -1)
+    out.append(table.tobytes())
+    return at + count * run.ros1_size
+
+
+def _many_to_ros1(run: Run, data: bytes, at: int, count: int, out: list[bytes]) -> int:
+    end = at + count * run.bottle_size
+    if end > len(data):
+        raise MismatchError
+    template, numbers = run.columns()
+    table = np.frombuffer(data, np.uint8, count * run.bottle_size, at).reshape(count, -1)
+    if not np.array_equal(table[:, ~numbers], np.broadcast_to(template[~numbers], (count, int((~numbers).sum())))):
+        raise MismatchError
+    out.append(table[:, numbers].tobytes())
+    return end
+
+
+def _string(data: bytes, at: int, out: list[bytes]) -> int:
+    if at + 4 > len(data):
+        raise MismatchError
+    end = at + 4 + int(_COUNT.unpack_from(data, at)[0])
+    if end > len(data):
+        raise MismatchError
+    out.append(data[at:end])
+    return end
+
+
+def _ros1_count(data: bytes, at: int, length: int) -> tuple[int, int]:
+    return (length, at) if length else (int(_COUNT.unpack_from(data, at)[0]), at + 4)
+
+
+def _bottle_count(data: bytes, at: int, tag: int, length: int, least: int, out: list[bytes]) -> tuple[int, int]:
+    """A list's count, which is written for ROS 1 where any is allowed; ``least`` bytes are in each element."""
+    if at + 8 > len(data):
+        raise MismatchError
+    found, count = _TWO.unpack_from(data, at)
+    at += 8
+    if found != tag or count < 0 or (length and count != length) or count * least > len(data) - at:
+        raise MismatchError
+    if not length:
+        out.append(_COUNT.pack(count))
+    return count, at
+
+
+class _Maker:
+    """Makes the steps of one type."""
+
+    def __init__(self, schema: Schema, tag_of: Callable[[str], int]) -> None:
+        self._schema, self._tag_of = schema, tag_of
+        self._run = Run()
+        self.steps: list[Step] = []
+
+    def message(self, definition: Definition) -> None:
+        self._run.constant(tags.LIST, len(definition.fields))
+        for field in definition.fields:
+            try:
+                self._field(field.type)
+            except KeyError:
+                msg = f"field {field.name} of {definition.name} is a {field.type.base}, which YARP has not"
+                raise MessageTypeError(msg, "choose its fields: 'fields' in an entry of yarp.topics") from None
+
+    def _field(self, kind: FieldType) -> None:
+        nested = TIME_DEFINITIONS.get(kind.base) or (self._schema.types[kind.base] if kind.nested else None)
+        length = kind.length if kind.shape is Shape.ARRAY else 0
+        if kind.shape is Shape.SINGLE:
+            if nested is not None:
+                self.message(nested)
+            elif kind.base == "string":
+                self._step(Text())
+            else:
+                self._run.constant(self._tag_of(kind.base))
+                self._run.copy(PRIMITIVE_SIZES[kind.base])
+        elif nested is not None:
+            inner = _Maker(self._schema, self._tag_of)
+            inner.message(nested)
+            self._step(Messages(length, inner.finish()))
+        elif kind.base == "string":
+            self._step(Texts(length))
+        elif length:
+            self._run.constant(tags.LIST | self._tag_of(kind.base), length)
+            self._run.copy(length * PRIMITIVE_SIZES[kind.base])
+        else:
+            self._step(Numbers(self._tag_of(kind.base), PRIMITIVE_SIZES[kind.base]))
+
+    def _step(self, step: Step) -> None:
+        if not self._run.empty:
+            self.steps.append(self._run)
+            self._run = Run()
+        self.steps.append(step)
+
+    def finish(self) -> list[Step]:
+        if not self._run.empty:
+            self.steps.append(self._run)
+            self._run = Run()
+        return self.steps
+
+
+class Layout:
+    """A ROS 1 type's Bottle in one profile.
+
+    Raises:
+        MessageTypeError: YARP has no type for one of its fields.
+    """
+
+    def __init__(self, schema: Schema, profile: Profile) -> None:
+        floats = {"float32": profile.float32_tag, "float64": profile.float64_tag}
+        maker = _Maker(schema, (_TAGS | floats).__getitem__)
+        maker.message(schema.root)
+        self._steps = maker.finish()
+
+    def to_bottle(self, ros1: bytes) -> bytes:
+        """A message's Bottle; the message was checked before."""
+        out: list[bytes] = []
+        at = 0
+        for step in self._steps:
+            at = step.to_bottle(ros1, at, out)
+        if at != len(ros1):
+            msg = f"bytes are left over behind the last field: {len(ros1) - at}"
+            raise ConversionError(msg)
+        return b"".join(out)
+
+    def to_ros1(self, bottle: bytes) -> bytes:
+        """A message from its Bottle; raises `MismatchError` where the Bottle is laid out otherwise."""
+        out: list[bytes] = []
+        at = 0
+        for step in self._steps:
+            at = step.to_ros1(bottle, at, out)
+        if at != len(bottle):
+            raise MismatchError
+        return b"".join(out)
