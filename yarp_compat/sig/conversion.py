@@ -42,7 +42,7 @@ def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
             raise _none(source, target)
         return _cast(_mean(pixels, given, wanted.dtype), wanted.dtype)
     if given.channels == ("value",):
-        planes = {**dict.fromkeys(_RGB, pixels), "h": 0, "s": 0, "v": pixels, "a": 255}
+        planes: dict[str, Any] = {**dict.fromkeys(_RGB, pixels), "h": 0, "s": 0, "v": pixels, "a": 255}
     elif set(_RGB) <= set(given.channels) and set(_RGB) <= set(wanted.channels):
         planes = {"a": 255, **{name: pixels[..., place] for place, name in enumerate(given.channels)}}
     else:
@@ -56,7 +56,7 @@ def convert(pixels: NDArray[Any], source: int, target: int) -> NDArray[Any]:
 
 def _mean(pixels: NDArray[Any], given: Format, wanted: np.dtype[Any]) -> NDArray[Any]:
     places = [given.channels.index(name) for name in _RGB]
-    total = pixels[..., places].sum(axis=2, dtype=np.float64 if given.dtype.kind == "f" else np.int64)
+    total: NDArray[Any] = pixels[..., places].sum(axis=2, dtype=np.float64 if given.dtype.kind == "f" else np.int64)
     return total / 3.0 if "f" in (wanted.kind, given.dtype.kind) else np.trunc(total / 3.0).astype(np.int64)
 
 

@@ -120,7 +120,7 @@ class Image(Portable):
     def resize(self, width: int | Image, height: int = 0) -> None:
         """Become of this size, or another image's; the content of an image that changes its size is 0."""
         if isinstance(width, Image):
-            width, height = width.width(), width.height()
+            height, width = width.height(), width.width()
         if width < 0 or height < 0:
             msg = f"an image cannot be {width} x {height} pixels"
             raise ValueError(msg)
@@ -148,7 +148,7 @@ class Image(Portable):
         Raises:
             ValueError: it is too small, or not in one piece.
         """
-        view = memoryview(data)
+        view = data.data if isinstance(data, np.ndarray) else memoryview(data)
         if not view.c_contiguous:
             msg = "the memory of an image must be in one piece: numpy.ascontiguousarray makes it so"
             raise ValueError(msg)

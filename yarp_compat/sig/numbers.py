@@ -29,7 +29,7 @@ def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
 def write_numbers(out: Writer, values: NDArray[Any]) -> None:
     """A list of numbers, one after another in memory, which are passed on uncopied where they are many."""
     out.begin(values.size, tag_of(values.dtype, out.profile))
-    out.block(memoryview(values.view(np.uint8)))
+    out.block(values.view(np.uint8).data)
 
 
 def read_numbers(source: Reader, dtype: np.dtype[Any]) -> NDArray[Any]:

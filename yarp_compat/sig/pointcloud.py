@@ -102,7 +102,7 @@ class PointCloud(Portable):
 
     def bytes_of_points(self) -> memoryview:
         """The points' bytes, uncopied."""
-        return memoryview(self._points.view(np.uint8)) if self._points.size else memoryview(b"")
+        return self._points.view(np.uint8).data if self._points.size else memoryview(b"")
 
     def width(self) -> int:
         """Points in a row."""

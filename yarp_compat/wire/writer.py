@@ -101,8 +101,11 @@ class Writer:
         Raises:
             WireError: it is longer, or not of one-byte characters.
         """
-        encoded = word.encode("latin-1", "replace") if isinstance(word, str) else b"12345"
-        if len(encoded) > 4 or "?" in word != b"?" in encoded:
+        try:
+            encoded = word.encode("latin-1")
+        except (UnicodeEncodeError, AttributeError):
+            encoded = b"none!"
+        if len(encoded) > 4:
             raise WireError(f"{word!r} is no vocab: it has up to four one-byte characters")
         if tagged:
             self._tail += b"\x09\0\0\0"
