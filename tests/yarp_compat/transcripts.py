@@ -1,7 +1,7 @@
 """Reads the transcripts of real YARP programs in ``tests/yarp_compat/data``: who said which bytes on which connection.
 
-A transcript's line ``[time] connN C>S from->to (size B)`` is followed by its bytes in hexadecimal; C opened the connection.
-They were recorded on loopback from YARP 3.12.3 and 4.0, each file says which.
+A transcript's line ``[time] connN C>S from->to (size B)`` is followed by its bytes in hexadecimal; C opened the
+connection. They were recorded on loopback from YARP 3.12.3 and 4.0, each file says which.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _BYTES = re.compile(r" +[0-9a-f]{4}  ((?:[0-9a-f]{2} ?)+)")
 
 @dataclass(frozen=True)
 class Step:
-    """Bytes in one direction: ``C`` (who opened the connection) or ``S`` said them, or ``U`` sent them as a datagram."""
+    """Bytes in one direction: said by ``C``, who opened the connection, or ``S``, or sent as a datagram, ``U``."""
 
     by: str
     data: bytes

@@ -151,7 +151,7 @@ def _read(path: Path) -> str:
     try:
         with path.open("rb") as stream:
             data = stream.read(_MAX_BYTES + 1)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return ""
     except OSError as err:
         msg = f"{path} cannot be read: {err.strerror or err}"

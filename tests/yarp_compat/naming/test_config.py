@@ -1,0 +1,105 @@
+"""Finding, reading and writing the files that say where the name server is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from yarp_compat.naming import config
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("platform", "environment", "folder"),
+    [
+        ("linux", {"HOME": "/home/icub"}, "/home/icub/.config/yarp"),
+        ("linux", {"HOME": "/home/icub", "XDG_CONFIG_HOME": "/x"}, "/x/yarp"),
+        ("linux", {"HOME": "/home/icub", "XDG_CONFIG_HOME": "/x", "YARP_CONFIG_HOME": "/y"}, "/y"),
+        ("darwin", {"HOME": "/Users/icub", "XDG_CONFIG_HOME": "/x"}, "/Users/icub/Library/Preferences/yarp"),
+        ("darwin", {"HOME": "/Users/icub", "YARP_CONFIG_HOME": "/y"}, "/y"),
+        ("win32", {"APPDATA": r"C:\Users\icub\AppData\Roaming"}, r"C:\Users\icub\AppData\Roaming\yarp\config"),
+        ("win32", {"USERPROFILE": r"C:\Users\icub"}, r"C:\Users\icub\AppData\Roaming\yarp\config"),
+        ("win32", {"APPDATA": r"C:\a", "YARP_CONFIG_HOME": r"D:\y"}, r"D:\y"),
+    ],
+)
+def test_folders(platform: str, environment: dict[str, str], folder: str) -> None:
+    """YARP's configuration folder on each operating system."""
+    assert config.folder(environment, platform) == folder
+
+
+def test_a_written_file_is_read(tmp_path: Path) -> None:
+    """What is written is the line that YARP writes, and is found again; another network has its own file."""
+    env = {"YARP_CONFIG_HOME": str(tmp_path / "made")}
+    assert config.read(environment=env) is None
+    path = config.write(Address("127.0.0.1", 10000), environment=env)
+    assert path == tmp_path / "made" / "yarp.conf"
+    assert path.read_text() == "127.0.0.1 10000 yarp\n"
+    assert config.read(environment=env) == Address("127.0.0.1", 10000, "yarp")
+    config.write(Address("10.0.0.1", 10100), "/my/robot", env)
+    assert (tmp_path / "made" / "_my_robot.conf").read_text() == "10.0.0.1 10100 yarp\n"
+    assert config.read("/my/robot", env) == Address("10.0.0.1", 10100)
+    assert config.read(environment={**env, "YARP_NAMESPACE": "/my/robot"}) == Address("10.0.0.1", 10100)
+    assert sorted(p.name for p in path.parent.iterdir()) == ["_my_robot.conf", "yarp.conf"]
+
+
+def test_namespaces(tmp_path: Path) -> None:
+    """The environment comes before the file, and that before /root."""
+    env = {"YARP_CONFIG_HOME": str(tmp_path)}
+    assert config.namespace(env) == "/root"
+    config.write_namespace("/lab", env)
+    assert config.namespaces(env) == ["/lab"]
+    assert config.file(environment=env).name == "_lab.conf"
+    assert config.namespaces({**env, "YARP_NAMESPACE": "/a /b"}) == ["/a", "/b"]
+    with pytest.raises(ConfigError, match="not a name for a YARP network"):
+        config.write_namespace("two words", env)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("127.0.0.1 10000 yarp\n", Address("127.0.0.1", 10000, "yarp")),
+        ("  192.168.1.2\t10005", Address("192.168.1.2", 10005, "yarp")),
+        ('"10.1.1.1" "10000"', Address("10.1.1.1", 10000, "yarp")),
+        ("10.1.1.1 10000 local\n", Address("10.1.1.1", 10000, "local")),
+        ("[name]\nhost icub-head\nport 10006\n", Address("icub-head", 10006, "yarp")),
+        ("[name]\nport 10006 // old\nhost 10.1.1.1\nmode yarp\n[other]\nhost x\n", Address("10.1.1.1", 10006)),
+    ],
+)
+def test_both_forms(text: str, address: Address) -> None:
+    """The one-line form and the old one with a group."""
+    assert config.parse(text) == address
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("127.0.0.1", "expected '<address> <port> yarp'"),
+        ("127.0.0.1 ten", "must be a number from 1 to 65535, not 'ten'"),
+        ("127.0.0.1 0", "must be a number"),
+        ("127.0.0.1 70000 yarp", "not '70000'"),
+        ("[name]\nhost x", "expected"),
+        ("[nome]\nhost x\nport 1", "expected"),
+    ],
+)
+def test_bad_files(tmp_path: Path, text: str, problem: str) -> None:
+    """A file that cannot be used is named, with what is wrong and how it should look."""
+    (tmp_path / "yarp.conf").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
+    assert str(tmp_path / "yarp.conf") in str(caught.value)
+    assert problem in str(caught.value)
+
+
+def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
+    """A folder in the file's place, a file in the folder's place, a file without end."""
+    (tmp_path / "yarp.conf").mkdir()
+    with pytest.raises(ConfigError, match="cannot be read"):
+        config.read(environment={"YARP_CONFIG_HOME": str(tmp_path)})
+    (tmp_path / "plain").write_text("")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        config.write(Address("h", 1), environment={"YARP_CONFIG_HOME": str(tmp_path / "plain" / "yarp")})
+    (tmp_path / "_big.conf").write_bytes(b"x" * 100_000)
+    with pytest.raises(ConfigError, match="larger than"):
+        config.read("/big", {"YARP_CONFIG_HOME": str(tmp_path)})

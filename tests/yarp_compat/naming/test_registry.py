@@ -1,0 +1,227 @@
+"""Commands of a name server and their answers, as real ones gave them (the fact sheet's lines)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.yarp_compat.transcripts import read
+from yarp_compat.naming import registry as registry_module
+from yarp_compat.naming.answers import OLD, lines
+from yarp_compat.naming.registry import Registry
+from yarp_compat.naming.state import dumps, loads
+from yarp_compat.naming.subscriptions import Wish
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.text import from_text, to_text
+
+END = "*** end of message"
+ROOT = "registration name /root ip 127.0.0.1 port 10000 type tcp"
+
+
+class Asked:
+    """A registry, asked in text."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.registry = Registry(Contact("/root", "127.0.0.1", 10000), clock=lambda: self.now)
+        self.events: list[Any] = []
+        self.wishes: list[Wish] = []
+
+    def __call__(self, text: str, remote: str = "127.0.0.1") -> list[str]:
+        """The lines of the answer; a Bottle is one."""
+        answer = self.registry.apply(from_text(text), remote)
+        self.events += answer.events
+        self.wishes += answer.wishes
+        return lines(answer.values) if answer.values[:1] == [OLD] else [to_text(answer.values)]
+
+
+@pytest.fixture(name="ask")
+def fixture_ask() -> Asked:
+    """A registry with nothing in it."""
+    return Asked()
+
+
+def test_registering(ask: Asked) -> None:
+    """What is left out is filled in: the number, the address of who asks, the name."""
+    assert ask("query /foo/auto") == [END]
+    assert ask("register /foo/auto") == ["registration name /foo/auto ip 127.0.0.1 port 10002 type tcp", END]
+    assert ask("query /foo/auto") == ["registration name /foo/auto ip 127.0.0.1 port 10002 type tcp", END]
+    assert ask("register /foo/bar tcp 127.0.0.1 10055") == [
+        "registration name /foo/bar ip 127.0.0.1 port 10055 type tcp",
+        END,
+    ]
+    assert ask("register ... tcp ... ...") == ["registration name /tmp/port/1 ip 127.0.0.1 port 10003 type tcp", END]
+    assert ask("register /far", remote="10.0.0.9") == ["registration name /far ip 10.0.0.9 port 10004 type tcp", END]
+    assert ask("register ... mcast ... 0")[0] == "registration name /tmp/port/2 ip 224.1.1.3 port 10005 type mcast"
+    assert ask("unregister /foo/auto") == [END]
+    assert ask("query /foo/auto") == [END]
+    assert ask("register /new")[0].split()[6] == "10006"
+    assert ask("register /foo/auto")[0].split()[6] == "10002"
+
+
+def test_listing(ask: Asked) -> None:
+    """Sorted by the bytes of the names; below a prefix; as a Bottle."""
+    for name in ("/b", "/a", "/a/x", "/ab"):
+        ask(f"register {name} tcp h 1")
+    assert [line.split()[2] for line in ask("list")[:-1]] == ["/a", "/a/x", "/ab", "/b", "/root"]
+    assert [line.split()[2] for line in ask("list /a")[:-1]] == ["/a", "/a/x"]
+    assert [line.split()[2] for line in ask("list /a/")[:-1]] == ["/a/x"]
+    assert ask("NAME_SERVER list /nothing") == [END]
+    assert ask("bot list /b") == ['ports (port (name "/b") (ip h) (port_number 1) (carrier tcp))']
+    assert ask("bot query /b") == ['port (name "/b") (ip h) (port_number 1) (carrier tcp)']
+    assert ask("bot query /c") == ['port (error -2 "port not known")']
+
+
+def test_properties(ask: Asked) -> None:
+    """Words under a key, answered in order of their bytes; each set replaces what was there."""
+    ask("register /p")
+    assert ask("set /p key v2 v1 (a b)") == ["port /p property key = a b v1 v2", END]
+    assert ask("get /p key") == ["port /p property key = a b v1 v2", END]
+    assert ask("get /p other") == ["port /p property other =", END]
+    assert ask("bot get /p key") == ["(a b) v1 v2"]
+    assert ask("check /p key v1") == ["port /p property key value v1 present true", END]
+    assert ask("check /p key v3") == ["port /p property key value v3 present false", END]
+    assert ask("set /p key 5") == ["port /p property key = 5", END]
+    assert ask("bot get /p key") == ["5"]
+    assert ask("set /nobody key 5") == [END]
+    assert ask("bot get /nobody key") == [""]
+    ask("set /p yarprun true")
+    assert ask("runners") == ["registration name /p ip 127.0.0.1 port 10002 type tcp", END]
+    ask("unregister /p")
+    ask("register /p")
+    assert ask("get /p key") == ["port /p property key =", END]
+
+
+def test_the_rest(ask: Asked) -> None:
+    """Route, gc, help, what nobody knows, and the name server itself."""
+    assert ask("route /a /b") == ["port /a route /b = tcp://b", END]
+    assert ask("gc") == ["garbage collection done.", END]
+    assert ask("help")[:2] == ["Here are some ways to use the name server:", "+ help"]
+    for nonsense in ("garbage", "", "register", "set", "get", "query", "register /root", "[register]"):
+        assert ask(nonsense)[-1] == END
+    assert ask("query /root") == [ROOT, END]
+    ask("unregister /root")
+    assert ask("query /root") == [ROOT, END]
+    assert ask("get /root nameserver") == ["port /root property nameserver = true", END]
+    assert ask("query tcp://root") == [ROOT, END]
+    assert ask("query /net=eth0/root") == [ROOT, END]
+    assert ask("type yarp image rgb") == ["[ok]"]
+    assert ask("type yarp image") == ["type yarp image rgb"]
+    assert ask("type yarp other") == ["[fail]"]
+
+
+def test_what_a_port_owns_goes_with_it(ask: Asked) -> None:
+    """A port that writes by mcast owns its group's entry; entries that own each other end too."""
+    ask("register /w")
+    ask("register /group mcast ... 0")
+    ask("set /w owns /group")
+    ask("set /group owns /w")
+    ask("unregister /w")
+    assert ask("query /group") == [END]
+    assert [(str(e[0]), e[1]) for e in ask.events] == [("add", "/w"), ("del", "/w")]
+
+
+def test_the_same_registration_again_changes_nothing(ask: Asked) -> None:
+    """Ports that come back to a restarted name server keep their properties, and nobody is told of a change."""
+    ask("register /p tcp 127.0.0.1 10002")
+    ask("set /p key value")
+    ask.events.clear()
+    answer = ask.registry.apply(["register", "/p", "tcp", "127.0.0.1", 10002], "127.0.0.1")
+    assert not answer.changed
+    assert not answer.events
+    assert ask("get /p key") == ["port /p property key = value", END]
+    ask("register /p tcp 127.0.0.1 10099")
+    assert [str(e[0]) for e in ask.events] == ["del", "add"]
+    assert ask("get /p key") == ["port /p property key =", END]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        f"register /{'x' * 2000}",
+        'register "/two words"',
+        "register /p tcp host 70000",
+        f"register /p tcp {'h' * 2000} 5",
+        'register /p "a b" host 5',
+    ],
+)
+def test_what_is_not_taken(ask: Asked, command: str) -> None:
+    """Names and addresses that would break lines, or are no addresses."""
+    assert ask(command) == [END]
+    assert [e.contact.name for e in ask.registry.entries()] == ["/root"]
+
+
+def test_bounds(ask: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ports, properties, persistent connections and types are counted."""
+    monkeypatch.setattr(registry_module, "MAX_PORTS", 3)
+    assert [len(ask(f"register /p{i}")) for i in range(3)] == [2, 2, 1]
+    assert len(ask("register /p1")) == 2
+    ask(f"set /p1 key {'x' * 5000}")
+    assert ask(f"set /p1 other {'x' * 5000}") == ["port /p1 property other =", END]
+    ask("set /p1 key short")
+    assert len(ask(f"set /p1 other {'x' * 5000}")[0]) > 5000
+    assert [ask(f"type yarp t{i} x") for i in range(4)] == [["[ok]"], ["[ok]"], ["[ok]"], ["[fail]"]]
+
+
+def test_every_name_server_exchange_of_the_transcript(ask: Asked) -> None:
+    """What a real name server answered two real ports and the tool that connected them, byte for byte."""
+    talks = [t for t in read("connect.txt") if t.port == 10000]
+    assert len(talks) >= 19
+    for talk in talks:
+        line = talk.said("C").decode()
+        answer = "".join(f"{text}\r\n" for text in ask(line))
+        assert answer.encode() == talk.said("S"), line
+
+
+WORDS = st.sampled_from(
+    [
+        "register",
+        "unregister",
+        "set",
+        "get",
+        "query",
+        "announce",
+        "subscribe",
+        "topic",
+        "bot",
+        "list",
+        "...",
+        "/a",
+        "/b",
+        "topic://t",
+        "udp://a",
+        "from",
+        "to",
+        "owns",
+        "mcast",
+        "tcp",
+        "10.0.0.1",
+        "10002",
+        "key",
+    ]
+)
+
+
+@given(st.lists(st.lists(WORDS, min_size=1, max_size=6), max_size=30))
+def test_memory_is_whole(commands: list[list[str]]) -> None:
+    """Whatever was said: a registry made from another's state answers as that one does."""
+    one, two = Asked(), Asked()
+    for command in commands:
+        one(" ".join(command))
+    data = dumps(one.registry)
+    loads(two.registry, data)
+    assert dumps(two.registry) == data
+    for question in ("list", "bot list", "subscribe", "topic", "get /a key", "get /b owns"):
+        assert two(question) == one(question)
+    for command in commands:
+        assert two(" ".join(command)) == one(" ".join(command))
+
+
+@pytest.mark.parametrize("data", [b"", b"[]", b"{}", b'{"version": 2}', b'{"version": 1, "ports": [1]}', b"\xff"])
+def test_spoilt_memory(data: bytes) -> None:
+    """What is no state is refused with a reason."""
+    with pytest.raises(ValueError, match=r"."):
+        loads(Registry(Contact("/root", "127.0.0.1", 10000)), data)
