@@ -102,7 +102,9 @@ class _LatchedSink:
 
     def close(self) -> None:
         self._shadow.undeclare()  # type: ignore[no-untyped-call]
-        self._publisher.undeclare()  # type: ignore[no-untyped-call]
+        # Not `undeclare`: that holds Python's lock while it ends the publisher's task, for ten seconds where a thread
+        # that zenoh needs for it waits for the lock (1.10). When the last reference goes, the lock is given away.
+        del self._publisher
 
 
 class PublisherOptions:

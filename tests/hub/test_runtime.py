@@ -13,6 +13,7 @@ from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
 
 endpoint, HASH = sys.argv[1], "RIHS01_" + "ab" * 32
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL)
 one, two = (Hub.open(HubSettings(router=endpoint, node=name)) for name in ("one", "two"))
 with one, two:
     busy, done = threading.Event(), threading.Event()
@@ -23,24 +24,32 @@ with one, two:
 
     subscription = one.subscription("/flood", "std_msgs/msg/Empty", HASH, Qos(), heard)
     publisher = two.publisher("/flood", "std_msgs/msg/Empty", HASH, Qos())
+    known = [two.publisher("/map", "std_msgs/msg/Empty", HASH, LATCHED) for _ in range(5)]
 
     def flood():
         while not done.is_set():
             publisher.put(b"x")
             time.sleep(0.0002)
 
-    thread = threading.Thread(target=flood)
-    thread.start()
+    def join():  # zenoh tells what it knows of the publishers on another of its threads
+        while not done.is_set():
+            one.subscription("/map", "std_msgs/msg/Empty", HASH, LATCHED, heard).close()
+            time.sleep(0.002)
+
+    threads = [threading.Thread(target=work) for work in (flood, join)]
+    for thread in threads:
+        thread.start()
     assert busy.wait(20)
     worst = 0.0
-    for number in range(100):
-        latched = one.publisher(f"/map{number}", "std_msgs/msg/Empty", HASH, Qos(durability=Durability.TRANSIENT_LOCAL))
+    for number in range(200):
+        latched = one.publisher(f"/map{number}", "std_msgs/msg/Empty", HASH, LATCHED)
         latched.put(b"y")
         begun = time.monotonic()
         latched.close()
         worst = max(worst, time.monotonic() - begun)
     done.set()
-    thread.join()
+    for thread in threads:
+        thread.join()
 print(worst)
 """
 
