@@ -45,8 +45,7 @@ class _LatchedSink:
             self._publisher.put(payload)
 
     def close(self) -> None:
-        with contextlib.suppress(zenoh.ZError):
-            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+        del self._publisher  # not `undeclare`: see `bridge.hub.publisher`
 
 
 class Announcer:
