@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bridge.cli.console import print_json
+from bridge.cli.doors import refusals
 from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, add_hub_arguments, open_client
 from bridge.cli.routes_table import Document, arrow, drops_text, route_list
@@ -92,6 +93,7 @@ def explain(client: Client, topic: str) -> Explanation:
     paired = [(decision, _route(decision, documents)) for decision in decisions]
     names |= {d.topic for d in decisions}
     notes = [*_hub_notes(topic, endpoints), *_warnings(names, documents), *_worker_notes(decisions, documents)]
+    notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
     return Explanation(topic, paired, endpoints, notes)
 
 

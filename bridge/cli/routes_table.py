@@ -51,8 +51,12 @@ def routes_table(documents: Iterable[Document], *, errors: bool = True) -> Table
 
 def route_list(document: Document) -> list[Document]:
     """The routes of a status document; what is no route is left out."""
-    routes = document.get("routes")
-    return [route for route in routes if isinstance(route, dict)] if isinstance(routes, list) else []
+    return dicts(document.get("routes"))
+
+
+def dicts(value: object) -> list[Document]:
+    """The entries of a list in a document; none where it is no list, and what is no entry is left out."""
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
 
 
 def arrow(side: object, direction: object) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,9 +11,10 @@ from rich.console import Console
 from rich.text import Text
 
 from bridge.cli.console import make_console, print_json
+from bridge.cli.doors import Refusal, refusals
 from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, add_hub_arguments, open_client
-from bridge.cli.routes_table import Document, arrow, route_list, routes_table
+from bridge.cli.routes_table import Document, arrow, dicts, route_list, routes_table
 from bridge.cli.text import clean, duration, is_number, plural, side_name, size
 from bridge.hub.control import Answer
 
@@ -35,10 +37,12 @@ def run(args: argparse.Namespace) -> int:
     """Show the status once."""
     with open_client(args) as client:
         documents = ask_status(client)
+        client.settle()
+        refused = refusals(client, documents)
     if args.json:
-        print_json(documents)
+        print_json([_with_refusals(document, refused) for document in documents])
     else:
-        show(make_console(), documents)
+        show(make_console(), documents, refused)
     return 0
 
 
@@ -54,7 +58,7 @@ def ask_status(client: Client) -> list[Document]:
     return [_document(answer) for answer in answers]
 
 
-def show(console: Console, documents: Sequence[Document]) -> None:
+def show(console: Console, documents: Sequence[Document], refused: Sequence[Refusal] = ()) -> None:
     """One block for each worker, then the routes."""
     daemon = None
     for document in documents:
@@ -62,11 +66,24 @@ def show(console: Console, documents: Sequence[Document]) -> None:
             daemon = document.get("daemon")
             console.print(Text(clean(daemon), style="bold"))
         _show_worker(console, document)
+        for refusal in _of(document, refused):
+            console.print(Text(f"           {clean(refusal.text)}", "yellow"))
+            console.print(Text(f"             cure: {clean(refusal.cure)}"))
     console.print()
     if any(route_list(document) for document in documents):
         console.print(routes_table(documents))
     else:
         console.print("no routes: nothing is published that would cross; 'midspan topic list -v' shows what there is")
+
+
+def _of(document: Document, refused: Sequence[Refusal]) -> list[Refusal]:
+    """Those of a router's door."""
+    return [r for r in refused if document.get("side") == "router" and document.get("daemon") == r.daemon]
+
+
+def _with_refusals(document: Document, refused: Sequence[Refusal]) -> Document:
+    found = [dataclasses.asdict(refusal) for refusal in _of(document, refused)]
+    return {**document, "refused_commands": found} if found else document
 
 
 def _document(answer: Answer) -> Document:
@@ -84,7 +101,7 @@ def _show_worker(console: Console, document: Document) -> None:
     console.print(line)
     if document.get("error"):
         console.print(Text(f"           {clean(document['error'])}", style="red"))
-    for refused in _dicts(document.get("refused")):
+    for refused in dicts(document.get("refused")):
         way = arrow(document.get("side"), refused.get("direction"))
         topic, type_name = clean(refused.get("topic", "")), clean(refused.get("type", ""))
         console.print(
@@ -92,7 +109,7 @@ def _show_worker(console: Console, document: Document) -> None:
         )
         if refused.get("cure"):
             console.print(Text(f"             cure: {clean(refused['cure'])}"))
-    for machine in _dicts(document.get("machines")):
+    for machine in dicts(document.get("machines")):
         console.print(_machine(machine))
     warnings = document.get("warnings")
     for warning in warnings if isinstance(warnings, list) else ():
@@ -133,7 +150,3 @@ def _figures(document: Document) -> str:
 def _sessions(document: Document) -> str:
     count = document.get("sessions")
     return plural(count if isinstance(count, int) else 0, "session")
-
-
-def _dicts(value: Any) -> list[dict[str, Any]]:
-    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []

@@ -54,11 +54,13 @@ class Machine:
 
     Attributes:
         name: in its certificate, "" where it showed none.
+        zid: the zenoh session that it is linked by: its door's, or its program's.
         address: its address and port, as zenoh writes them.
         trusted: whether its commands are accepted.
     """
 
     name: str
+    zid: str
     address: str
     trusted: bool
 
@@ -80,12 +82,18 @@ class Door:
             msg = f"cannot open {places}: {zenoh_reason(err)}"
             raise HubError(msg) from None
 
+    @property
+    def zid(self) -> str:
+        """Its session's."""
+        return str(self._session.zid())
+
     def machines(self) -> list[Machine]:
         """The machines that are connected."""
-        found = {(str(link.auth_identifier or ""), str(link.dst)) for link in self._session.info.links()}
+        links = self._session.info.links()
+        found = {(str(link.auth_identifier or ""), str(link.zid), str(link.dst)) for link in links}
         return [
-            Machine(name, address, ANYBODY in self._open.trusted or name in self._open.trusted)
-            for name, address in sorted(found)
+            Machine(name, zid, address, ANYBODY in self._open.trusted or name in self._open.trusted)
+            for name, zid, address in sorted(found)
             if address != self._here
         ]
 

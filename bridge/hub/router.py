@@ -30,6 +30,9 @@ from bridge.worker import Health, Worker, costs
 
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 1.0
+_MAX_MEMBERS = 1000
+"""Sessions that the status names at most."""
+
 _DOOR_SECONDS = 5.0
 _REOPEN_SECONDS = 0.3
 """zenoh's routers look every 0.1 s who is there; one that takes another's place sooner hears of no subscription."""
@@ -239,6 +242,7 @@ class RouterWorker(Worker):
         self._process.cpu_percent()
 
     def _status(self, config: Config, session: zenoh.Session) -> dict[str, Any]:
+        members = [str(transport.zid) for transport in session.info.transports()]
         return {
             "daemon": config.name,
             "worker": "router",
@@ -250,11 +254,23 @@ class RouterWorker(Worker):
             "uptime": time.monotonic() - self._started,
             **costs(self._process),
             "listen": config.hub.listen,
-            "sessions": len(session.info.transports()),
-            "machines": [asdict(machine) for machine in self._door.machines()] if self._door else [],
+            "sessions": len(members),
+            "members": members[:_MAX_MEMBERS],
+            **self._door_status(),
             "routes": [],
             "refused": [],
             "warnings": [f"hub.open: {self._door_trouble}"] if self._door_trouble else [],
+        }
+
+    def _door_status(self) -> dict[str, Any]:
+        """Who is at the door, and what it takes from trusted machines alone."""
+        door, config = self._door, self._config
+        if door is None or config is None:
+            return {"machines": []}
+        return {
+            "door": door.zid,
+            "machines": [asdict(machine) for machine in door.machines()],
+            "commands": {name: sorted(parts) for name, parts in commands(config.routing).items()},
         }
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import sys
 import time
@@ -231,9 +232,13 @@ def test_commands_of_a_machine_that_is_not_trusted_are_refused(pair: Pair) -> No
         until_heard(ros2, out, ros1, heard, "second")
         assert len(drive.heard()) == before
         assert "operator1 may not command" in pair.robot.run(*MIDSPAN, "status", "--config", pair.files["robot"])
+        for name, machine in (("robot", pair.robot), ("operator", pair.operator)):
+            why = machine.run(*MIDSPAN, "explain", "/cmd_vel", "--config", pair.files[name])
+            assert re.search(r"robot1 refuses the commands of operator1 on /cmd_vel .*; [1-9]\d* messages so far", why)
     finally:
         pair.trust("operator1")
     until(drive.crosses, "commands cross again", 40)
+    assert "refuses" not in pair.robot.run(*MIDSPAN, "explain", "/cmd_vel", "--config", pair.files["robot"])
 
 
 def test_nobody_gets_past_the_door(pair: Pair) -> None:
