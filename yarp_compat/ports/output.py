@@ -18,6 +18,7 @@ from yarp_compat.wire.carriers import Carrier, framed
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.reply import ReplyReader, plain_end
 
 if TYPE_CHECKING:
     from yarp_compat.ports.loop import Loop
@@ -273,8 +274,13 @@ class Output:
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
-    def request(self, buffers: Sequence[Buffer], reply_end: ReplyEnd, deadline: float | None) -> bytes:
+    def request(self, buffers: list[Buffer], parse: ReplyEnd | None, deadline: float | None) -> bytes:
         """Send a message that wants a reply, and wait for it.
+
+        Args:
+            buffers: all of its bytes.
+            parse: where a reply ends; None: a Bottle's end, or with a text carrier the line's.
+            deadline: of the monotonic clock.
 
         Raises:
             TimeoutError: no reply by the deadline; the connection is closed, as the reply may still come.
@@ -282,26 +288,25 @@ class Output:
             WireError: the reply is no Bottle, or above the limit; the connection is closed.
         """
         with self._changed:
-            if not self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline)):
-                msg = f"{self.route.target} is still busy with another message"
-                raise TimeoutError(msg)
+            if self._driven:
+                self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline))
             if self.closed:
                 msg = f"not connected to {self.route.target}"
                 raise ConnectionResetError(msg)
+            if self._driven:
+                msg = f"{self.route.target} is still busy with another message"
+                raise TimeoutError(msg)
             self._driven = True
-        item = Item(list(buffers), True)
+        item = Item(buffers, True)
         try:
-            while item.buffers:
-                self._wait_step(
-                    lambda: (not self._due or self._take_ack(self._patient)) and self._send(item, self._patient),
-                    deadline,
-                )
+            while (self._due and not self._take_ack(self._patient)) or not self._send_patiently(item):
+                self._check_time(deadline)
             self._due = False
-            reply = self._reply(reply_end, deadline)
+            reply = self._reply(parse or (_line_end if self.carrier.text else None), deadline)
             if self.carrier.ack:
                 self._due = True
-                while self._due:
-                    self._wait_step(lambda: self._take_ack(self._patient), deadline)
+                while not self._take_ack(self._patient):
+                    self._check_time(deadline)
         except (OSError, WireError) as error:
             self._fail(error)
             raise
@@ -310,9 +315,13 @@ class Output:
         self._release()
         return reply
 
-    def _wait_step(self, step: Callable[[], object], deadline: float | None) -> None:
-        with contextlib.suppress(TimeoutError):
-            step()
+    def _send_patiently(self, item: Item) -> bool:
+        try:
+            return self._send(item, self._patient)
+        except TimeoutError:
+            return False
+
+    def _check_time(self, deadline: float | None) -> None:
         if self.closed:
             msg = f"the connection to {self.route.target} was closed"
             raise ConnectionAbortedError(msg)
@@ -320,35 +329,46 @@ class Output:
             msg = f"no reply from {self.route.target} in time"
             raise TimeoutError(msg)
 
-    def _reply(self, reply_end: ReplyEnd, deadline: float | None) -> bytes:
+    def _reply(self, parse: ReplyEnd | None, deadline: float | None) -> bytes:
         came: bytes | bytearray = self._came
+        reader: ReplyReader | None = None
         looked = 0
         while True:
-            if len(came) >= looked:
-                with contextlib.suppress(Incomplete):
-                    end = reply_end(came)
+            if came and len(came) >= looked:
+                end = plain_end(came, self.profile) if parse is None else 0
+                try:
+                    if not 0 < end <= len(came):
+                        if parse is None:
+                            reader = reader or ReplyReader(self.profile, acked=self.carrier.ack, limit=self._limit)
+                            parse = reader.end
+                        end = parse(came)
+                except Incomplete:
+                    # a reader of one's own begins anew each time: a long reply is looked at again when it has grown by half
+                    looked = len(came) + len(came) // 2 if reader is None and len(came) > _CHUNK else 0
+                else:
+                    if reader is not None:
+                        self.profile = reader.profile
                     self._came = bytes(came[end:])
                     return bytes(came[:end])
-                # a long reply is looked at again only when it has grown by half
-                looked = len(came) + len(came) // 2 if len(came) > _CHUNK else 0
-            if len(came) > self._limit:
+            if len(came) > self._limit + _CHUNK:
                 msg = f"a reply from {self.route.target} is larger than {self._limit} bytes"
                 raise WireError(msg)
-            more = b""
             try:
-                more = self._patient.recv(_CHUNK if not came else 1 << 20)
+                more = self._patient.recv(_CHUNK if len(came) < _CHUNK else 1 << 20)
             except TimeoutError:
+                self._check_time(deadline)
                 looked = 0  # it pauses: perhaps it is all there
-            else:
-                if not more:
-                    msg = f"{self.route.target} closed the connection"
-                    raise ConnectionResetError(msg)
-            self._wait_step(lambda: None, deadline)
-            if not came:
-                came = more
-            elif more:
+                continue
+            if not more:
+                msg = f"{self.route.target} closed the connection"
+                raise ConnectionResetError(msg)
+            if deadline is not None and came:
+                self._check_time(deadline)
+            if came:
                 came = came if isinstance(came, bytearray) else bytearray(came)
                 came += more
+            else:
+                came = more
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
@@ -429,6 +449,13 @@ class Output:
 
 def _left(deadline: float | None) -> float | None:
     return None if deadline is None else max(0.0, deadline - time.monotonic())
+
+
+def _line_end(came: Buffer) -> int:
+    found = bytes(came).find(b"\n")
+    if found < 0:
+        raise Incomplete("a line ends early")
+    return found + 1
 
 
 def _ack_end(came: bytes, carrier: Carrier) -> int:

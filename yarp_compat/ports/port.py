@@ -24,12 +24,11 @@ from yarp_compat.ports.sending import flat
 from yarp_compat.wire import carriers, command, message
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.contact import Contact, Route, rooted
-from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.header import Opening
 from yarp_compat.wire.header import answer as opening_answer
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.reply import ReplyReader
 from yarp_compat.wire.text import from_text, to_text
 
 _log = logging.getLogger("yarp.ports")
@@ -255,15 +254,8 @@ class PortCore:
         output = outputs[0]
         deadline = None if timeout is None else time.monotonic() + timeout
         if output.carrier.text:
-            reply = output.request([self._line(payload, envelope, "d", None)], _line_end, deadline)
-            return self.from_line(reply.strip())
-
-        if parse is not None:
-            return output.request(self._framed(payload, envelope, "d"), parse, deadline)
-        reader = ReplyReader(output.profile, acked=output.carrier.ack, limit=self.limit)
-        reply = output.request(self._framed(payload, envelope, "d"), reader.end, deadline)
-        output.profile = reader.profile
-        return reply
+            return self.from_line(output.request([self._line(payload, envelope, "d", None)], parse, deadline).strip())
+        return output.request(self._framed(payload, envelope, "d"), parse, deadline)
 
     # -- connections --------------------------------------------------------------------------------------------------
 
@@ -473,13 +465,6 @@ class PortCore:
     def from_line(self, line: bytes) -> bytes:
         """The Bottle of a line of text."""
         return encode(from_text(line.decode(errors="surrogateescape")), self.profile)
-
-
-def _line_end(came: Buffer) -> int:
-    found = bytes(came).find(b"\n")
-    if found < 0:
-        raise Incomplete("a line ends early")
-    return found + 1
 
 
 __all__ = ["PortCore", "contextlib"]

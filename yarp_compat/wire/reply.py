@@ -21,6 +21,9 @@ ACKNOWLEDGED = 8
 _WORD = Struct("<i").unpack_from
 _TWO = Struct("<ii").unpack_from
 
+_SIZES = {profile: tags.sizes(profile) for profile in Profile}
+_SAME_SIZES = {tag: size for tag, size in _SIZES[Profile.YARP3].items() if _SIZES[Profile.YARP4].get(tag) == size}
+
 
 class ReplyReader:
     """Finds the end of one reply.
@@ -80,6 +83,15 @@ class ReplyReader:
         return end
 
 
+def plain_end(data: Data, profile: Profile | None) -> int:
+    """Where a Bottle of numbers of one type ends, at a glance; 0 where it is another one, or the profile would have to be known."""
+    if len(data) < 8:
+        return 0
+    tag, count = _TWO(data, 0)
+    size = (_SIZES[profile] if profile else _SAME_SIZES).get(tag - tags.LIST, 0)
+    return 8 + count * size if size and count >= 0 else 0
+
+
 def recognise(data: Data) -> Profile | None:
     """Whose bytes a whole Bottle has; None where they are the same for all.
 
@@ -107,7 +119,7 @@ class _Walk:
     """Goes through one Bottle of one profile, and on where it stopped when more of it has come."""
 
     def __init__(self, profile: Profile, limit: int) -> None:
-        self._sizes = tags.sizes(profile)
+        self._sizes = _SIZES[profile]
         self._limit = limit
         self._at = 0
         self._begun = False

@@ -1,0 +1,216 @@
+"""YARP ports against bare sockets that move the same bytes: round trips of RPC, and streams, over tcp and fast_tcp on loopback.
+
+Two processes, nothing else between them. The bare sockets know how many bytes to expect and look at none; ours read what the messages
+say. Rounds of both take turns; each figure is the median of the rounds' medians.
+
+    python -m benchmarks.yarp_ports [--json FILE] [--rounds N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from benchmarks.rows import Row, add_json_option, report
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire import message
+from yarp_compat.wire.binary import encode
+from yarp_compat.wire.profile import Profile
+
+_EMPTY = encode([], Profile.YARP3)
+_NUMBERS = encode([i + 0.5 for i in range(10)], Profile.YARP3)
+_VECTOR = encode([float(i) for i in range(1000)], Profile.YARP3)
+_IMAGE = bytes(60) + bytes(range(256)) * (640 * 480 * 3 // 256)
+_BARRIER = message.prefix(len(_EMPTY), "d") + _EMPTY
+_REQUESTS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """What is streamed in one round: the messages' name, content and number."""
+
+    name: str
+    payload: bytes
+    count: int
+
+
+_STREAMS = (
+    Stream("Bottle of 10 numbers", _NUMBERS, 2000),
+    Stream("Vector of 1000", _VECTOR, 1000),
+    Stream("Image 640x480", _IMAGE, 60),
+)
+
+
+# -- the other process ----------------------------------------------------------------------------------------------------
+
+
+def _serve_port() -> None:
+    """A port that answers requests of RPC with what they said, until standard input ends."""
+
+    def answer(incoming: Message) -> None:
+        if incoming.wants_reply:
+            incoming.reply(bytes(incoming.payload))
+
+    port = PortCore("/peer", on_message=answer, naming=LocalNaming())
+    print(port.open().port, flush=True)
+    sys.stdin.read()
+    port.close()
+
+
+def _serve_bare() -> None:
+    """A socket that answers a number of bytes with a number of bytes, as often as each line of standard input says."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        print(server.getsockname()[1], flush=True)
+        sock, _ = server.accept()
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    memory = bytearray(1 << 20)
+    for line in sys.stdin:
+        size, times, reply = map(int, line.split())
+        told = bytes(reply)
+        for _ in range(times):
+            left = size
+            while left:
+                left -= sock.recv_into(memory, min(left, len(memory)))
+            if reply:
+                sock.sendall(told)
+    sock.close()
+
+
+@contextmanager
+def _process(role: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    command = [sys.executable, "-m", "benchmarks.yarp_ports", "--serve", role]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        try:
+            yield process, int(process.stdout.readline())
+        finally:
+            process.stdin.close()
+
+
+# -- this process -----------------------------------------------------------------------------------------------------------
+
+
+class Ours:
+    """A port connected to the port of the other process."""
+
+    def __init__(self, number: int, carrier: str) -> None:
+        naming = LocalNaming()
+        naming.register("/peer", "127.0.0.1", number)
+        self._port = PortCore("/bench", naming=naming)
+        self._port.open()
+        done, told = self._port.add_output(f"{carrier}://peer")
+        assert done, told
+
+    def round_trips(self) -> float:
+        """The median round trip, in microseconds."""
+        return _median(lambda: self._port.request(_NUMBERS, timeout=5), _REQUESTS)
+
+    def stream(self, stream: Stream) -> float:
+        """Microseconds for each message of a stream."""
+        start = time.perf_counter()
+        for _ in range(stream.count):
+            self._port.write(stream.payload, wait=True)
+        self._port.request(_EMPTY, timeout=5)
+        return (time.perf_counter() - start) / stream.count * 1e6
+
+    def close(self) -> None:
+        """End it."""
+        self._port.close()
+
+
+class Bare:
+    """A socket connected to the socket of the other process, which moves the same bytes."""
+
+    def __init__(self, process: subprocess.Popen[str], number: int, carrier: str) -> None:
+        self._process = process
+        self._sock = socket.create_connection(("127.0.0.1", number))
+        self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._ack = len(message.ACK) if carrier == "tcp" else 0
+
+    def _expect(self, size: int, times: int, reply: int) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{size} {times} {reply}\n")
+        self._process.stdin.flush()
+
+    def _call(self, request: bytes, reply: int) -> None:
+        self._sock.sendall(request)
+        while reply:
+            reply -= len(self._sock.recv(reply))
+
+    def round_trips(self) -> float:
+        """The median round trip, in microseconds."""
+        request, reply = message.prefix(len(_NUMBERS), "d") + _NUMBERS, len(_NUMBERS) + self._ack
+        self._expect(len(request), _REQUESTS, reply)
+        return _median(lambda: self._call(request, reply), _REQUESTS)
+
+    def stream(self, stream: Stream) -> float:
+        """Microseconds for each message of a stream."""
+        sent = message.prefix(len(stream.payload)) + stream.payload
+        self._expect(len(sent), stream.count, self._ack)
+        self._expect(len(_BARRIER), 1, len(_EMPTY) + self._ack)
+        start = time.perf_counter()
+        for _ in range(stream.count):
+            self._call(sent, self._ack)
+        self._call(_BARRIER, len(_EMPTY) + self._ack)
+        return (time.perf_counter() - start) / stream.count * 1e6
+
+    def close(self) -> None:
+        """End it."""
+        self._sock.close()
+
+
+def _median(call: Callable[[], object], times: int) -> float:
+    taken = []
+    for _ in range(times):
+        start = time.perf_counter()
+        call()
+        taken.append(time.perf_counter() - start)
+    return statistics.median(taken) * 1e6
+
+
+def _rows(carrier: str, rounds: int) -> list[Row]:
+    with _process("port") as (_, ours_at), _process("bare") as (process, bare_at):
+        ours, bare = Ours(ours_at, carrier), Bare(process, bare_at, carrier)
+        cases: list[tuple[str, Callable[[], float], Callable[[], float]]] = [
+            (f"RPC of 10 numbers, {carrier}", ours.round_trips, bare.round_trips)
+        ]
+        for stream in _STREAMS:
+            case = f"{stream.name}, {carrier}"
+            cases.append((case, lambda s=stream: ours.stream(s), lambda s=stream: bare.stream(s)))  # type: ignore[misc]
+        rows = []
+        for case, ours_once, bare_once in cases:
+            both = [(ours_once(), bare_once()) for _ in range(rounds)]
+            mine, theirs = (statistics.median(column) for column in zip(*both, strict=True))
+            rows.append(Row(case, mine, theirs, "us"))
+        ours.close()
+        bare.close()
+        return rows
+
+
+def main() -> None:
+    """Run it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--serve", choices=["port", "bare"], help=argparse.SUPPRESS)
+    add_json_option(parser)
+    options = parser.parse_args()
+    if options.serve == "port":
+        _serve_port()
+    elif options.serve == "bare":
+        _serve_bare()
+    else:
+        report([row for carrier in ("tcp", "fast_tcp") for row in _rows(carrier, options.rounds)], options.json)
+
+
+if __name__ == "__main__":
+    main()
