@@ -22,9 +22,10 @@ import zenoh
 from bridge.config.commands import commands
 from bridge.config.model import Config
 from bridge.hub.control import Control
-from bridge.hub.door import Door, check_closed
+from bridge.hub.door import Door, check_closed, has_tls, key_files
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.liveliness import MIDSPAN_SPACE
+from bridge.hub.renewal import KeyWatch
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
 from bridge.worker import Health, Worker, costs
 
@@ -116,6 +117,7 @@ class RouterWorker(Worker):
     def __init__(self) -> None:
         self._config: Config | None = None
         self._door: Door | None = None
+        self._keys: KeyWatch | None = None
         self._door_trouble = ""
         self._door_again = 0.0
         self._session: zenoh.Session | None = None
@@ -151,10 +153,7 @@ class RouterWorker(Worker):
             return False
         self._config = config
         if config.hub.open != old.hub.open or commands(config.routing) != commands(old.routing):
-            if self._door is not None:
-                self._close_door()
-                time.sleep(_REOPEN_SECONDS)
-            self._open_door(config)
+            self._reopen_door(config)
         return True
 
     def health(self) -> Health:
@@ -162,6 +161,9 @@ class RouterWorker(Worker):
         assert self._config is not None
         if self._door is None and time.monotonic() > self._door_again:
             self._open_door(self._config)
+        elif self._keys is not None and self._keys.renewed():
+            _log.info("hub.open: opened anew with the new certificates")
+            self._reopen_door(self._config)
         session = self._session
         if session is None:
             session = self._take_over(self._config)
@@ -187,6 +189,7 @@ class RouterWorker(Worker):
         if not config.hub.open.opened:
             return
         try:
+            self._keys = KeyWatch(key_files(config)) if has_tls(config.hub.open) else None
             self._door = Door(config)
         except HubError as err:
             if str(err) != self._door_trouble:
@@ -198,8 +201,15 @@ class RouterWorker(Worker):
         if config.hub.open.insecure:
             _log.warning("hub.open.insecure: whoever reaches %s may join the hub", ", ".join(config.hub.open.listen))
 
+    def _reopen_door(self, config: Config) -> None:
+        if self._door is not None:
+            self._close_door()
+            time.sleep(_REOPEN_SECONDS)
+        self._open_door(config)
+
     def _close_door(self) -> None:
         door, self._door = self._door, None
+        self._keys = None
         self._door_trouble, self._door_again = "", 0.0
         if door is not None:
             door.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import ssl
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -314,6 +316,52 @@ def test_a_reload_changes_whom_to_trust(folder: Path) -> None:
         assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
         assert everything_said(machines, "friend", put_each([CMD_VEL])) == []
         assert (ARM_DRIVE, "go") in everything_said(machines, "guest", put_each([ARM_DRIVE]))
+    finally:
+        machines.close()
+        router.stop()
+
+
+def shown(machines: Machines) -> bytes:
+    """The certificate that the robot's door shows."""
+    context = ssl.create_default_context(cafile=machines.folder / "ca.pem")
+    context.load_cert_chain(machines.folder / "friend.pem", machines.folder / "friend.key")
+    place = ("127.0.0.1", machines.port)
+    with (
+        socket.create_connection(address, 5.0) as plain,
+        context.wrap_socket(plain, server_hostname="127.0.0.1") as tls,
+    ):
+        return tls.getpeercert(binary_form=True) or b""
+
+
+def test_new_certificates_are_taken_up_once_they_fit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    authority = Authority(tmp_path)
+    authority.make()
+    for name in ("test", "friend"):
+        authority.issue(name, ["127.0.0.1"])
+    machines = Machines(tmp_path)
+    router = RouterWorker()
+    router.start(Config.model_validate({"name": "test", "hub": machines.network.config(open=machines.network.door)}))
+    try:
+        first, local = shown(machines), machines.session(None)
+        for _ in range(3):
+            router.health()
+        assert shown(machines) == first
+
+        renewed = Authority(tmp_path).issue("test", ["127.0.0.1"], replace=True)
+        whole = renewed.file.read_bytes()
+        renewed.file.write_bytes((tmp_path / "friend.pem").read_bytes())
+        for _ in range(3):
+            router.health()
+        assert shown(machines) == first
+        assert caplog.text.count("the new certificates cannot be used, and the old ones stay") == 1
+
+        renewed.file.write_bytes(whole)
+        router.health()
+        assert shown(machines) == first, "it may still be being copied"
+        router.health()
+        assert shown(machines) == ssl.PEM_cert_to_DER_cert(whole.decode()) != first
+        assert [str(zid) for zid in local.info.routers_zid()], "this machine's programs are not cut off"
+        assert everything_said(machines, "friend", put_each([CMD_VEL])) == [(CMD_VEL, "go"), (CMD_VEL, "")]
     finally:
         machines.close()
         router.stop()

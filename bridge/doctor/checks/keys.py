@@ -12,7 +12,7 @@ from bridge.hub.door import KeyFiles, has_tls, key_files
 from bridge.hub.errors import HubConfigError
 
 SOON_DAYS = 30
-_RENEW = "'midspan keys make NAME --replace', copy the files, and restart midspan-router"
+_RENEW = "'midspan keys make NAME --replace', and copy the files; the router takes them up by itself"
 
 
 def look(around: Around) -> Sequence[Finding]:
