@@ -325,7 +325,7 @@ def shown(machines: Machines) -> bytes:
     """The certificate that the robot's door shows."""
     context = ssl.create_default_context(cafile=machines.folder / "ca.pem")
     context.load_cert_chain(machines.folder / "friend.pem", machines.folder / "friend.key")
-    place = ("127.0.0.1", machines.port)
+    address = ("127.0.0.1", machines.port)
     with (
         socket.create_connection(address, 5.0) as plain,
         context.wrap_socket(plain, server_hostname="127.0.0.1") as tls,
