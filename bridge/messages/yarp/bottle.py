@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from bridge.messages.definition import Schema, World
 from bridge.messages.errors import ConversionError
 from bridge.messages.parser import closure, parse_full
@@ -16,7 +14,8 @@ from bridge.messages.registry import Registry
 from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, stamp_of, with_stamp
 from bridge.messages.yarp.layout import Layout, MismatchError
 from bridge.messages.yarp.loose import to_ros1
-from yarp_compat.wire.decoder import Data, Decoder
+from yarp_compat.wire import binary
+from yarp_compat.wire.decoder import Data
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
@@ -62,27 +61,13 @@ def _schema(name: str, definition: str) -> Schema:
     return closure(types[name], types)
 
 
-def decode_arrays(data: Data, profile: Profile | None) -> list[Any]:
-    """A Bottle's values; lists of numbers are arrays.
+def decode_arrays(data: Data, profile: Profile | None) -> Any:
+    """A Bottle's values; lists of numbers are arrays, the Bottle's own among them.
 
     Raises:
         ConversionError: it is no Bottle.
     """
-    first: WireError | None = None
-    for decoder in _DECODERS.values() if profile is None else (_DECODERS[profile],):
-        try:
-            values, end = decoder.bottle(data, 0)
-        except WireError as err:
-            first = first or err
-            continue
-        if end == len(data):
-            return list(values)
-        first = first or WireError(f"it ends at byte {end}, but {len(data) - end} bytes follow")
-    raise ConversionError(f"no Bottle: {first}")
-
-
-def _array(data: Data, offset: int, count: int, code: str) -> np.ndarray:
-    return np.frombuffer(data, np.dtype("<" + code), count, offset)
-
-
-_DECODERS = {profile: Decoder(profile, _array) for profile in Profile}
+    try:
+        return binary.decode_arrays(data, profile)
+    except WireError as err:
+        raise ConversionError(f"no Bottle: {err}") from None
