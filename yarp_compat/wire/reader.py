@@ -161,6 +161,11 @@ class Reader:
         self.at += layout.size
         return found
 
+    def untagged(self, layout: struct.Struct) -> tuple[Any, ...]:
+        """An element in a fixed layout that has no tag, where it should have one."""
+        self._count()
+        return self.raw(layout)
+
     def block(self, size: int) -> memoryview:
         """Bytes as they are, uncopied."""
         at, end = self.at, self.at + size

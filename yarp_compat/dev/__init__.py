@@ -1,0 +1,1 @@
+"""The device types and the base of the device interfaces. Each is in the file of its name."""

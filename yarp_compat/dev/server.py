@@ -1,0 +1,203 @@
+"""Answers the requests to an interface, each peer in its own generation of YARP.
+
+What it takes is what YARP's servers take: the name in one word or in several, vocabs or strings, in a list that says
+its elements' type or not; ``help``; the introduction of YARP 4's clients. What nobody knows is answered by ``[fail]``.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from yarp_compat.dev.call import Call
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.service import INTRODUCTION, Service, write_version
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.tags import VOCAB32
+from yarp_compat.wire.writer import Writer
+
+log = logging.getLogger(__name__)
+
+HELP = "help"
+_HELP = (
+    "help([functionName])",
+    "Return list of available commands, or help message for a specific function",
+    "@param functionName name of the command to describe; without it all names are listed",
+)
+
+
+class Request(Protocol):
+    """A message that a port received."""
+
+    payload: Buffer
+
+    @property
+    def peer(self) -> Any:
+        """The connection it came on: its route, carrier and profile."""
+
+    def reply(self, payload: Buffer) -> None:
+        """Answer it."""
+
+
+class Server:
+    """Makes an interface's implementation what a port calls for each message.
+
+    Args:
+        service: the implementation.
+        generations: what peers are answered in; kept by who owns it, so that it can be shown.
+    """
+
+    def __init__(self, service: Service, generations: Generations | None = None) -> None:
+        self._service = service
+        self._calls = type(service).calls()
+        self._longest = max((name.count("_") + 1 for name in self._calls), default=1)
+        self.generations = Generations() if generations is None else generations
+
+    def __call__(self, request: Request) -> None:
+        """Answer a message."""
+        peer = request.peer
+        name = peer.route.source
+        request.reply(self.answer(request.payload, name, peer.profile, text=peer.carrier.text))
+        if not peer.carrier.text and self.generations.of(name).generation is Generation.YARP_4:
+            peer.profile = Profile.YARP4
+
+    def answer(self, payload: Buffer, peer: str = "", profile: Profile | None = None, *, text: bool = False) -> bytes:
+        """The reply to a request.
+
+        Args:
+            payload: the request.
+            peer: the port that sent it.
+            profile: its dialect, where that is known.
+            text: the reply is printed, so it must be a Bottle.
+        """
+        generation = self.generations.of(peer).generation
+        likely = profile or generation.profile
+        try:
+            words, call, arguments, found = self._taken(payload, likely)
+        except WireError as error:
+            log.warning("%s: a request of %s is refused: %s", type(self._service).__name__, peer or "?", error)
+            return _fail()
+        if call is None:
+            return self._special(words, arguments, peer)
+        if not text and found is not generation.profile:
+            self.generations.recognised(peer, found)
+            generation = self.generations.of(peer).generation
+        if text:
+            generation = Generation.YARP_3_6
+        return self._called(call, arguments, generation, found if text else generation.profile, peer)
+
+    def _taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
+        """A request's name, call, arguments and dialect: the one in which all its bytes mean something.
+
+        Arguments too many do no harm.
+        """
+        other = Profile.YARP3 if likely is Profile.YARP4 else Profile.YARP4
+        first: WireError | None = None
+        for profile, whole in ((likely, True), (other, True), (likely, False)):
+            source = Reader(payload, profile)
+            try:
+                words, call = self._named(source)
+                arguments = [] if call is None else call.read_arguments(source)
+                if call is None and source.left:
+                    arguments = [source.word()]
+                if whole:
+                    source.finish()
+            except WireError as error:
+                first = first or error
+            else:
+                return words, call, arguments, profile
+        raise first or WireError("no profile fits")
+
+    def _named(self, source: Reader) -> tuple[str, Call | None]:
+        """The name in a request; without a call where it is one that every service knows."""
+        source.begin()
+        name = source.word()
+        if name == "__direct__":
+            name = source.word()
+        while True:
+            if name in (HELP, INTRODUCTION):
+                return name, None
+            if name in self._calls:
+                return name, self._calls[name]
+            if not source.left or name.count("_") + 1 >= self._longest:
+                raise WireError(f"there is no method {name!r}")
+            name += "_" + source.word()
+
+    def _special(self, name: str, arguments: list[Any], peer: str) -> bytes:
+        if name == INTRODUCTION:
+            self.generations.introduced(peer)
+            return write_version(self._service.PROTOCOL)
+        return self._help(arguments[0] if arguments else "--all")
+
+    def _help(self, name: str) -> bytes:
+        if name == "--all":
+            lines: Sequence[str] = ["*** Available commands:", *self._calls, HELP]
+        elif name == HELP:
+            lines = _HELP
+        elif name in self._calls:
+            lines = [self._calls[name].prototype]
+        else:
+            lines = ["Command not found"]
+        out = Writer(Profile.YARP3)
+        out.begin(2)
+        out.vocab("many")
+        out.begin(len(lines))
+        for line in lines:
+            out.string(line)
+        return out.payload()
+
+    def _called(self, call: Call, arguments: list[Any], generation: Generation, profile: Profile, peer: str) -> bytes:
+        name = f"{type(self._service).__name__}.{call.name}"
+        try:
+            results = _results(call, getattr(self._service, call.name)(*arguments))
+        except CallFailed as error:
+            log.info("%s for %s: %s", name, peer or "?", error)
+            results = _failed(call, error.code)
+        except NotImplementedError:
+            results = _failed(call, ReturnCode.NOT_IMPLEMENTED)
+        except Exception:
+            log.exception("%s for %s", name, peer or "?")
+            results = _failed(call, ReturnCode.GENERIC)
+        if results is None:
+            return _fail()
+        try:
+            return call.reply(results, generation, profile)
+        except WireError:
+            log.exception("%s for %s returned what cannot be written", name, peer or "?")
+            failed = _failed(call, ReturnCode.GENERIC)
+            return _fail() if failed is None else call.reply(failed, generation, profile)
+
+
+def _results(call: Call, returned: Any) -> list[Any]:
+    if not call.results:
+        return []
+    if call.alone:
+        return [returned]
+    if isinstance(returned, ReturnValue):
+        if not returned:
+            return [returned, *_defaults(call)]
+        returned = (returned,)
+    if len(returned) != len(call.results):
+        raise WireError(f"{call.name} returns {len(call.results)} values, not {len(returned)}")
+    return list(returned)
+
+
+def _failed(call: Call, code: ReturnCode) -> list[Any] | None:
+    """What a call that failed returns: its outcome, and of the rest what C++ has where nothing was set."""
+    return [ReturnValue(code), *_defaults(call)] if call.tells else None
+
+
+def _defaults(call: Call) -> list[Any]:
+    return [field.default() for field in call.results[1:]]
+
+
+def _fail() -> bytes:
+    out = Writer(Profile.YARP3)
+    out.begin(1, VOCAB32)
+    out.vocab("fail", tagged=False)
+    return out.payload()
