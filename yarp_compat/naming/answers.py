@@ -75,7 +75,7 @@ def as_value(text: str) -> Any:
         values = from_text(text)
     except ValueError:
         return text
-    return values[0] if len(values) == 1 else values
+    return values[0] if len(values) == 1 else text
 
 
 def code(done: bool) -> list[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,9 +26,9 @@ ROOT = "registration name /root ip 127.0.0.1 port 10000 type tcp"
 class Asked:
     """A registry, asked in text."""
 
-    def __init__(self) -> None:
+    def __init__(self, port: int = 10000) -> None:
         self.now = 0.0
-        self.registry = Registry(Contact("/root", "127.0.0.1", 10000), clock=lambda: self.now)
+        self.registry = Registry(Contact("/root", "127.0.0.1", port), clock=lambda: self.now)
         self.events: list[Any] = []
         self.wishes: list[Wish] = []
 
@@ -82,7 +83,7 @@ def test_properties(ask: Asked) -> None:
     assert ask("set /p key v2 v1 (a b)") == ["port /p property key = a b v1 v2", END]
     assert ask("get /p key") == ["port /p property key = a b v1 v2", END]
     assert ask("get /p other") == ["port /p property other =", END]
-    assert ask("bot get /p key") == ["(a b) v1 v2"]
+    assert ask("bot get /p key") == ['"a b" v1 v2']
     assert ask("check /p key v1") == ["port /p property key value v1 present true", END]
     assert ask("check /p key v3") == ["port /p property key value v3 present false", END]
     assert ask("set /p key 5") == ["port /p property key = 5", END]
@@ -175,6 +176,26 @@ def test_every_name_server_exchange_of_the_transcript(ask: Asked) -> None:
         line = talk.said("C").decode()
         answer = "".join(f"{text}\r\n" for text in ask(line))
         assert answer.encode() == talk.said("S"), line
+
+
+def recorded() -> list[tuple[str, list[str]]]:
+    """Commands and the lines of their answers, from a real name server."""
+    found: list[tuple[str, list[str]]] = []
+    for line in (Path(__file__).parents[1] / "data" / "name_server.txt").read_text().splitlines():
+        if line.startswith(">"):
+            found.append((line[2:], []))
+        elif line.startswith("<"):
+            found[-1][1].append(line[2:])
+    return found
+
+
+def test_every_command_as_a_real_name_server_answered() -> None:
+    """Sixty commands to yarpserver 3.12.3, in their order, each line of each answer."""
+    ask = Asked(port=10410)
+    commands = recorded()
+    assert len(commands) > 50
+    for command, answer in commands:
+        assert [line.rstrip(" ") for line in ask(command)] == answer, command
 
 
 WORDS = st.sampled_from(
