@@ -2,7 +2,7 @@
 
 The format (``[INFO] |component| text``), the streams and the environment variables are those of
 src/libYARP_os/src/yarp/os/Log.cpp: trace, debug and info go to standard output, the rest to standard error. YARP's own
-messages (ports that open, connections that come and go) go through Python's ``logging`` under ``yarp_compat``.
+messages (ports that open, connections that come and go) go through Python's ``logging`` under ``yarp``.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class LogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
         kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)
-        Log._say(kind, record.getMessage(), (), record.name.replace("yarp_compat", "yarp"))
+        Log._say(kind, record.getMessage(), (), record.name)
 
 
 _LEVELS = (
@@ -178,7 +178,7 @@ _LEVELS = (
 
 def print_as_yarp() -> None:
     """Print the library's own messages in YARP's format, if the program has set up no logging of its own."""
-    logger = logging.getLogger("yarp_compat")
+    logger = logging.getLogger("yarp")
     if logger.handlers or logging.getLogger().handlers:
         return
     logger.addHandler(LogHandler())

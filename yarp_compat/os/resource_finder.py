@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from yarp_compat.os.bottle import Bottle
+from yarp_compat.os.dirs import Directories
 from yarp_compat.os.property import Property
+from yarp_compat.os.searchable import Searchable
 from yarp_compat.os.value import Value
 
-from yarp_compat.os.dirs import Directories
-
-log = logging.getLogger(__name__)
+log = logging.getLogger("yarp.os.ResourceFinder")
 
 
 class ResourceFinderOptions:
@@ -74,7 +74,7 @@ class ResourceFinderOptions:
         return cls(cls.ModuleDefault, cls.All)
 
 
-class ResourceFinder:
+class ResourceFinder(Searchable):
     """Finds files by name in the places where YARP programs keep them.
 
     Example::
@@ -179,13 +179,6 @@ class ResourceFinder:
         log.setLevel(logging.WARNING if quiet else logging.INFO)
         return True
 
-    def check(self, key: str, default: Any = None, comment: str = "") -> Any:
-        """Whether there is a key; with a default, the key's value or that."""
-        del comment
-        if default is None:
-            return self._property.check(key)
-        return self._property.find(key) if self._property.check(key) else _as_value(default)
-
     def find(self, key: str) -> Value:
         """The value of a key; a null value when there is none."""
         return self._property.find(key)
@@ -211,9 +204,6 @@ class ResourceFinder:
     def toString(self) -> str:
         """All keys as a Bottle's text."""
         return self._property.toString()
-
-    toString_c = toString
-    __str__ = toString
 
     def getContext(self) -> str:
         """The context that is looked in, or empty."""
@@ -360,7 +350,3 @@ def _from_text(text: str) -> Value:
     value = Value()
     value.fromString(text)
     return value
-
-
-def _as_value(value: Any) -> Value:
-    return value if isinstance(value, Value) else Value(value)

@@ -12,10 +12,9 @@ from typing import Any
 
 from yarp_compat.os.bottle import Bottle
 from yarp_compat.os.connection import ConnectionReader, PortReader
-
 from yarp_compat.os.resource_finder import ResourceFinder
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("yarp.os.RFModule")
 
 _QUIT = ("quit", "exit", "bye")
 _FORCED = 4

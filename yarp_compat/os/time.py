@@ -11,7 +11,7 @@ import os
 import threading
 import time
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("yarp.os.Time")
 
 YARP_CLOCK_UNINITIALIZED = -1
 YARP_CLOCK_DEFAULT = 0

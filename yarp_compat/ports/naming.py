@@ -39,6 +39,11 @@ class LocalNaming:
         with self._lock:
             return self._contacts.get(name)
 
+    def list(self, prefix: str = "") -> list[Contact]:
+        """All registered ports, or those whose names begin so."""
+        with self._lock:
+            return [contact for name, contact in self._contacts.items() if name.startswith(prefix)]
+
     def set_property(self, name: str, key: str, *values: Any) -> None:
         """Keep values under a key of a port."""
         self._properties[name, key] = values

@@ -80,7 +80,7 @@ class Library:
                 wanted = f", which {path[-1]} contains," if path else ""
                 msg = (
                     f"no definition of {name}{wanted} is known: give a folder with its .msg file in YARP_ROSMSG_PATH "
-                    "(or yarp.rosmsg.folders), install the package, or start a Midspan daemon on this YARP network"
+                    "or yarp.rosmsg.folders, install the package, or start a Midspan daemon on this YARP network"
                 )
                 raise DefinitionError(msg)
             found = parse(text, name)

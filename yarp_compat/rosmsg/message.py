@@ -60,7 +60,7 @@ class Message(Portable):
 
     Example::
 
-        String = yarp.rosmsg("std_msgs/String")
+        String = yarp.rosmsg.std_msgs.String
         text = String(data="hello")
     """
 
@@ -165,16 +165,23 @@ class Message(Portable):
 
     @classmethod
     def _read_numbers(cls, source: Reader, field: Field) -> list[Any]:
-        tag, count, data = source.array(PRIMITIVES[field.type])
+        tag, count, data = source.numbers()
         if data is None:
             found = [cls._read_single(source, field) for _ in range(count)]
             source.end()
             return found
-        floats = tag in (source.profile.float32_tag, source.profile.float64_tag)
-        if floats != (field.type in _FLOATS):
-            msg = f"numbers of tag {tag}"
-            raise WireError(msg)
-        found = list(struct.unpack(f"<{count}{_LETTERS[field.type]}", data))
+        if tag == _tag(source.profile, field.type):
+            found = list(struct.unpack(f"<{count}{_LETTERS[field.type]}", data))
+        else:
+            letters = {INT8: "b", INT16: "h", INT32: "i", INT64: "q"}
+            letters |= {source.profile.float32_tag: "f", source.profile.float64_tag: "d"}
+            found = list(struct.unpack(f"<{count}{letters.get(tag, 'i')}", data))
+            if field.type in _FLOATS:
+                return [float(number) for number in found]
+            if letters.get(tag, "i") in "fd":
+                msg = f"numbers with a fraction, of tag {tag}"
+                raise WireError(msg)
+            found = [_integer(field.type, number) for number in found]
         return [bool(number) for number in found] if field.type == "bool" else found
 
     @classmethod

@@ -1,0 +1,145 @@
+"""``Contact``: a port's name and address, with YARP's method names; ``ContactStyle``: how to connect."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass
+from typing import Any, Self
+
+from yarp_compat.wire.contact import Contact as Address
+
+
+class Contact:
+    """Where a port is: ``Contact(name)``, ``Contact(host, number)``, ``Contact(carrier, host, number)``, or all four.
+
+    What is not known is empty, or -1.
+    """
+
+    def __init__(self, *parts: Any) -> None:
+        self._timeout = -1.0
+        if len(parts) == 1 and isinstance(parts[0], Contact):
+            self._address, self._timeout = parts[0]._address, parts[0]._timeout
+        elif len(parts) == 2 and isinstance(parts[1], int):
+            self._address = Address("", parts[0], parts[1], "tcp")
+        elif len(parts) == 3 and isinstance(parts[2], int):
+            self._address = Address("", parts[1], parts[2], parts[0])
+        else:
+            name, carrier, host, number = (*parts, *("", "", "", -1)[len(parts) :])
+            self._address = Address(str(name), str(host), int(number), str(carrier))
+
+    @classmethod
+    def of(cls, address: Address | None) -> Self:
+        """The contact of an address; an invalid one of None."""
+        made = cls()
+        made._address = address or made._address
+        return made
+
+    @classmethod
+    def fromString(cls, text: str) -> Self:
+        """Read ``/name``, ``tcp://name``, ``tcp://host:10002/`` and their kin."""
+        return cls.of(Address.parse(text))
+
+    @property
+    def address(self) -> Address:
+        """The same for the rest of the library."""
+        return self._address
+
+    def getName(self) -> str:
+        """The port's name; without one, its address."""
+        return self._address.name or (self._address.uri if self._address.is_valid else "")
+
+    def getRegName(self) -> str:
+        """The port's name as registered; empty where it has none."""
+        return self._address.name
+
+    def setName(self, name: str) -> None:
+        """Name it."""
+        self._set(name=name)
+
+    def getHost(self) -> str:
+        """Its address or host name."""
+        return self._address.host
+
+    def setHost(self, host: str) -> None:
+        """Set its address or host name."""
+        self._set(host=host)
+
+    def getPort(self) -> int:
+        """Its port number, -1 where that is not known."""
+        return self._address.port
+
+    def setPort(self, number: int) -> None:
+        """Set its port number."""
+        self._set(port=number)
+
+    def getCarrier(self) -> str:
+        """The carrier, ``tcp`` and its kin."""
+        return self._address.carrier
+
+    def setCarrier(self, carrier: str) -> None:
+        """Set the carrier."""
+        self._set(carrier=carrier)
+
+    def setSocket(self, carrier: str, host: str, number: int) -> None:
+        """Set all but the name."""
+        self._address = Address(self._address.name, host, number, carrier)
+
+    def hasTimeout(self) -> bool:
+        """Whether a time limit was set."""
+        return self._timeout >= 0
+
+    def getTimeout(self) -> float:
+        """The time limit in seconds; negative for none."""
+        return self._timeout
+
+    def setTimeout(self, seconds: float) -> None:
+        """Limit the time of what is done with the contact."""
+        self._timeout = seconds
+
+    def isValid(self) -> bool:
+        """Whether the address is known."""
+        return self._address.is_valid
+
+    def toURI(self, includeCarrier: bool = True) -> str:
+        """The address, ``tcp://127.0.0.1:10002/``."""
+        uri = self._address.uri
+        return uri if includeCarrier or not self._address.carrier else uri.removeprefix(f"{self._address.carrier}:")
+
+    def toString(self) -> str:
+        """The name by its carrier, ``tcp://name``."""
+        return self._address.target if self._address.carrier else self.getName()
+
+    toString_c = toString
+    __str__ = toString
+
+    @staticmethod
+    def convertHostToIp(host: str) -> str:
+        """A host name's IPv4 address, or the name itself where it has none."""
+        try:
+            return socket.gethostbyname(host)
+        except OSError:
+            return host
+
+    def _set(self, **fields: Any) -> None:
+        a = self._address
+        values = {"name": a.name, "host": a.host, "port": a.port, "carrier": a.carrier} | fields
+        self._address = Address(**values)
+
+
+@dataclass
+class ContactStyle:
+    """How to make contact. Times in seconds, negative for the default."""
+
+    OPENENDED = 0
+    END_WITH_FROM_PORT = 1
+    END_WITH_TO_PORT = 2
+    NO_PERSISTENCE = 3
+
+    admin: bool = False
+    quiet: bool = False
+    verboseOnSuccess: bool = True
+    timeout: float = -1.0
+    carrier: str = ""
+    expectReply: bool = True
+    persistent: bool = False
+    persistenceType: int = END_WITH_TO_PORT

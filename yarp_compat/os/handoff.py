@@ -1,0 +1,58 @@
+"""Hands messages from the threads of connections to the one that reads, one at a time, without any queue."""
+
+from __future__ import annotations
+
+import threading
+
+from yarp_compat.ports.message import Message
+
+
+class Handoff:
+    """A place for one message: who gives waits until it is taken, who takes waits until there is one."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._message: Message | None = None
+        self._closed = False
+        self._interrupted = False
+
+    def give(self, message: Message) -> bool:
+        """Wait until the message was taken; False when the place was closed first."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._message is None or self._closed)
+            if self._closed:
+                return False
+            self._message = message
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._message is not message or self._closed)
+            return self._message is not message
+
+    def take(self, *, will_reply: bool) -> Message | None:
+        """Wait for a message; None when interrupted or closed. With ``will_reply`` its sender goes on waiting."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._message is not None or self._closed or self._interrupted)
+            message = self._message
+            if message is None or self._closed or self._interrupted:
+                return None
+            if will_reply and message.wants_reply:
+                message.later()
+            self._message = None
+            self._changed.notify_all()
+            return message
+
+    def interrupt(self) -> None:
+        """Let takers go, until `resume`."""
+        with self._changed:
+            self._interrupted = True
+            self._changed.notify_all()
+
+    def resume(self) -> None:
+        """Let takers wait again."""
+        with self._changed:
+            self._interrupted = False
+
+    def close(self) -> None:
+        """Let everybody go, for good."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()

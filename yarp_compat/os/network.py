@@ -1,0 +1,360 @@
+"""``Network``: the name server, and connections between any two ports of the network."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+from yarp_compat.naming import connections, talk
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address, file, folder, namespace
+from yarp_compat.naming.errors import NamingError
+from yarp_compat.os import bridge
+from yarp_compat.os.contact import Contact, ContactStyle
+from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.os.value import Value
+from yarp_compat.rosmsg.library import LIBRARY
+from yarp_compat.wire.contact import Contact as WireContact
+from yarp_compat.wire.contact import is_port_name
+
+log = logging.getLogger("yarp.os.Network")
+
+_POLL = 0.1
+"""Seconds between two looks of what waits for a port or a connection."""
+
+
+class Network:
+    """Everything about the network that is not a port. ``Network.init()`` comes first, ``Network.fini()`` last.
+
+    An object of it does both: ``network = yarp.Network()`` begins, and the end of the object ends, as does ``with``.
+    All methods are static, return False where something could not be done, and log why.
+    """
+
+    def __init__(self, clockType: int = 0) -> None:
+        self.init(clockType)
+        self._used = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leave()
+
+    def __del__(self) -> None:
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._used:
+            self._used = False
+            RUNTIME.fini()
+
+    @staticmethod
+    def init(clockType: int = 0) -> None:
+        """Begin to use the network."""
+        del clockType
+        LIBRARY.ask = bridge.definition
+        RUNTIME.init()
+
+    initMinimum = autoInitMinimum = init
+
+    @staticmethod
+    def fini() -> None:
+        """Stop using the network: ports that are still open are closed."""
+        RUNTIME.fini()
+
+    finiMinimum = fini
+
+    @staticmethod
+    def initialized() -> bool:
+        """Whether the network is in use."""
+        return RUNTIME.is_up
+
+    isNetworkInitialized = initialized
+
+    @staticmethod
+    def checkNetwork(timeout: float = -1) -> bool:
+        """Whether the name server answers, within ``timeout`` seconds when that is positive."""
+        if RUNTIME.is_local:
+            return True
+        client = NameClient(timeout=timeout) if timeout > 0 else NameClient()
+        return _done(lambda: client.lines(["list", namespace()]) is not None, "the name server cannot be used")
+
+    @staticmethod
+    def connect(src: str, dest: str, carrier: str | ContactStyle | None = "", quiet: bool = True) -> bool:
+        """Connect an output port to an input port.
+
+        Args:
+            src: the port that writes.
+            dest: the port that reads; ``udp://r`` says the carrier too.
+            carrier: ``tcp``, ``fast_tcp``, ``udp``...; empty for what the port was registered with.
+            quiet: do not log the success.
+        """
+        style = _style(carrier, quiet)
+        if style.persistent:
+            return _persistent("subscribe", src, dest, style)
+        name = style.carrier
+
+        def connect() -> bool:
+            text = connections.connect(RUNTIME.naming, src, dest, name, **_timeout(style))
+            if not style.quiet:
+                log.info("%s", text)
+            return True
+
+        return _done(connect, f"cannot connect {src} to {dest}")
+
+    @staticmethod
+    def disconnect(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
+        """End a connection."""
+        style = _style(carrier, quiet)
+        if style.persistent:
+            return _persistent("unsubscribe", src, dest, style)
+
+        def disconnect() -> bool:
+            text = connections.disconnect(RUNTIME.naming, src, dest, **_timeout(style))
+            if not style.quiet:
+                log.info("%s", text)
+            return True
+
+        return _done(disconnect, f"cannot disconnect {src} from {dest}")
+
+    @staticmethod
+    def isConnected(src: str, dest: str, carrier: str | ContactStyle | bool | None = "", quiet: bool = True) -> bool:
+        """Whether two ports are connected, by this carrier when one is named."""
+        style = _style(carrier, quiet)
+
+        def is_connected() -> bool:
+            found = connections.carrier_between(RUNTIME.naming, src, dest, **_timeout(style))
+            return bool(found) and style.carrier in ("", found)
+
+        return _done(is_connected, f"cannot tell whether {src} and {dest} are connected", quiet=style.quiet)
+
+    @staticmethod
+    def exists(port: str, style: ContactStyle | bool = True, checkVer: bool = True) -> bool:
+        """Whether a port is registered and answers."""
+        del checkVer
+        quiet = style.quiet if isinstance(style, ContactStyle) else style
+        timeout = _timeout(style) if isinstance(style, ContactStyle) else {}
+        return _done(
+            lambda: connections.exists(RUNTIME.naming, port, **timeout),
+            f"cannot tell whether {port} exists",
+            quiet=quiet,
+        )
+
+    @staticmethod
+    def sync(port: str, quiet: bool = True) -> bool:
+        """Wait until a port answers, at most about 25 s."""
+        return _wait(lambda: Network.exists(port, quiet), 25.0, f"{port} does not answer", quiet=quiet)
+
+    @staticmethod
+    def waitPort(target: str, quiet: bool = False) -> bool:
+        """Wait until a port is there, however long that takes."""
+        return _wait(lambda: Network.exists(target, True), None, f"waiting for port {target}", quiet=quiet)
+
+    @staticmethod
+    def waitConnection(source: str, destination: str, quiet: bool = False) -> bool:
+        """Wait until two ports are connected, however long that takes."""
+        what = f"waiting for the connection {source} -> {destination}"
+        return _wait(lambda: Network.isConnected(source, destination, True), None, what, quiet=quiet)
+
+    @staticmethod
+    def queryName(name: str) -> Contact:
+        """Where a port is; an invalid contact when it is not registered."""
+        return Contact.of(_value(lambda: RUNTIME.naming.query(name), f"cannot ask for {name}"))
+
+    @staticmethod
+    def registerName(name: str) -> Contact:
+        """Register a name without a port of this program behind it."""
+        return Contact.of(_value(lambda: RUNTIME.naming.register(name), f"cannot register {name}"))
+
+    @staticmethod
+    def registerContact(contact: Contact) -> Contact:
+        """Register a name with this address."""
+        a = contact.address
+        register = RUNTIME.naming.register
+        return Contact.of(
+            _value(lambda: register(a.name, a.host, max(a.port, 0), carrier=a.carrier), f"cannot register {a.name}")
+        )
+
+    @staticmethod
+    def unregisterName(name: str) -> Contact:
+        """Forget a name."""
+        _value(lambda: RUNTIME.naming.unregister(name), f"cannot unregister {name}")
+        return Contact()
+
+    @staticmethod
+    def unregisterContact(contact: Contact) -> Contact:
+        """Forget a contact's name."""
+        return Network.unregisterName(contact.getRegName())
+
+    @staticmethod
+    def setProperty(name: str, key: str, value: Any) -> bool:
+        """Keep a value under a key of a registered port."""
+        plain = value.plain if isinstance(value, Value) else value
+        values = plain if isinstance(plain, (list, tuple)) else [plain]
+
+        def set_property() -> bool:
+            RUNTIME.naming.set_property(name, key, *values)
+            return True
+
+        return _done(set_property, f"cannot set the property {key} of {name}")
+
+    @staticmethod
+    def getProperty(name: str, key: str) -> Value | None:
+        """The value under a key of a registered port; None where there is none."""
+        found = _value(lambda: RUNTIME.naming.get_property(name, key), f"cannot get the property {key} of {name}")
+        if not found:
+            return None
+        return Value.of(found[0] if len(found) == 1 else list(found))
+
+    @staticmethod
+    def getNameServerName() -> str:
+        """The name server's own port name, ``/root`` unless the namespace is another."""
+        return _value(namespace, "cannot tell the namespace") or ""
+
+    @staticmethod
+    def getNameServerContact() -> Contact:
+        """Where the name server should be."""
+        client = RUNTIME.client
+        return Contact.of(_value(lambda: client.contact, "no name server is known") if client else None)
+
+    @staticmethod
+    def setNameServerContact(contact: Contact) -> bool:
+        """Use the name server at this address, in this program."""
+        if not contact.isValid():
+            log.error("a name server's contact needs an address and a port number, not %r", contact.toString())
+            return False
+        RUNTIME.use(NameClient(Address(contact.getHost(), contact.getPort())))
+        return True
+
+    @staticmethod
+    def setLocalMode(flag: bool) -> bool:
+        """Keep names in this process, for programs whose ports only talk to each other."""
+        RUNTIME.set_local(local=flag)
+        return True
+
+    @staticmethod
+    def getLocalMode() -> bool:
+        """Whether names are kept in this process."""
+        return RUNTIME.is_local
+
+    @staticmethod
+    def isValidPortName(name: str) -> bool:
+        """Whether a port may have this name."""
+        return is_port_name(name)
+
+    @staticmethod
+    def getConfigFile(name: str) -> str:
+        """The path of one of YARP's configuration files; ``yarp.conf`` is that of the namespace."""
+        return str(file()) if name == "yarp.conf" else f"{folder()}/{name}"
+
+    @staticmethod
+    def write(contact: Contact | str, command: Any, reply: Any, *options: Any) -> bool:
+        """Send one message to a port and read its reply.
+
+        Args:
+            contact: the port, or its name.
+            command: the message, usually a Bottle.
+            reply: takes the reply.
+            options: a `ContactStyle`, or ``admin``, ``quiet`` and ``timeout`` in this order.
+        """
+        style = _write_style(options)
+
+        def write() -> bool:
+            address = _found(contact)
+            timeout = style.timeout if style.timeout > 0 else talk.TIMEOUT
+            lines = talk.ask(address, command.to_values(), admin=style.admin, timeout=timeout)
+            reply.from_text(lines[0] if lines else "")
+            return True
+
+        return _done(write, f"cannot write to {_said(contact)}", quiet=style.quiet)
+
+    @staticmethod
+    def writeToNameServer(command: Any, reply: Any, style: ContactStyle | None = None) -> bool:
+        """Send a command to the name server and read its reply."""
+        return Network.write(Network.getNameServerContact(), command, reply, style or ContactStyle())
+
+    @staticmethod
+    def assertion(shouldBeTrue: bool) -> None:
+        """Raise unless this holds."""
+        if not shouldBeTrue:
+            msg = "an assertion does not hold"
+            raise AssertionError(msg)
+
+
+NetworkBase = Network
+
+
+def _found(contact: Contact | str) -> WireContact:
+    name = contact if isinstance(contact, str) else contact.getRegName()
+    known = WireContact.parse(contact) if isinstance(contact, str) else contact.address
+    address = known if known.is_valid else RUNTIME.naming.query(name)
+    if address is None:
+        msg = f"there is no port {name} at the name server"
+        raise NamingError(msg)
+    return address
+
+
+def _said(contact: Contact | str) -> str:
+    return contact if isinstance(contact, str) else contact.toString()
+
+
+def _write_style(options: tuple[Any, ...]) -> ContactStyle:
+    if options and isinstance(options[0], ContactStyle):
+        return options[0]
+    names = ("admin", "quiet", "timeout")
+    return ContactStyle(**dict(zip(names, options, strict=False)))
+
+
+def _style(carrier: str | ContactStyle | bool | None, quiet: bool) -> ContactStyle:
+    if isinstance(carrier, ContactStyle):
+        return carrier
+    if isinstance(carrier, bool):
+        return ContactStyle(quiet=carrier)
+    return ContactStyle(carrier=carrier or "", quiet=quiet)
+
+
+def _timeout(style: ContactStyle) -> dict[str, float]:
+    return {"timeout": style.timeout} if style.timeout > 0 else {}
+
+
+def _persistent(word: str, src: str, dest: str, style: ContactStyle) -> bool:
+    """A connection that the name server keeps up."""
+    client = RUNTIME.client
+    if client is None:
+        log.error("there are no persistent connections in local mode: %s -> %s", src, dest)
+        return False
+    target = f"{style.carrier}:/{dest}" if style.carrier else dest
+    return _done(lambda: client.line([word, src, target]).startswith("[ok]"), f"cannot {word} {src} to {dest}")
+
+
+def _wait(ready: Callable[[], bool], limit: float | None, what: str, *, quiet: bool) -> bool:
+    end = None if limit is None else time.monotonic() + limit
+    said = time.monotonic()
+    while not ready():
+        now = time.monotonic()
+        if end is not None and now > end:
+            return False
+        if not quiet and now - said > 1:
+            log.info("%s", what)
+            said = now
+        time.sleep(_POLL)
+    return True
+
+
+def _done(action: Callable[[], bool], problem: str, *, quiet: bool = False) -> bool:
+    """Whether it worked; why not goes to the log."""
+    try:
+        return action()
+    except (NamingError, OSError, ValueError) as err:
+        log.log(logging.DEBUG if quiet else logging.ERROR, "%s: %s", problem, err)
+        return False
+
+
+def _value(action: Callable[[], Any], problem: str) -> Any:
+    try:
+        return action()
+    except (NamingError, OSError, ValueError) as err:
+        log.error("%s: %s", problem, err)
+        return None

@@ -1,0 +1,278 @@
+"""YARP ports the Python way: context managers, iteration, plain values. `yarp_compat.aio` is the same for asyncio.
+
+Example::
+
+    with Reader("/robot/pose:i") as reader:
+        for message in reader:
+            x, y = message.values
+
+Errors are exceptions here: `NamingError` where the name server is not there, `PortError` where a connection cannot be
+made, `WireError` where bytes are not what they should be, `TimeoutError`, `ConnectionError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Self, TypeVar
+
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.errors import PortError
+from yarp_compat.naming.naming import Naming
+from yarp_compat.os.inbox import Inbox
+from yarp_compat.ports.message import Message, Payload
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire import binary
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.profile import Profile
+
+T = TypeVar("T", bound=Portable)
+
+Content = Sequence[Any] | Portable
+"""What is sent: a Bottle's plain values (see `yarp_compat.wire.values`), or any of YARP's data."""
+
+
+class Received:
+    """A message that came.
+
+    Attributes:
+        raw: the message of the port's engine.
+    """
+
+    def __init__(self, raw: Message, profile: Profile) -> None:
+        self.raw = raw
+        self._profile = raw.peer.profile
+        self._reply_profile = raw.peer.profile or profile
+
+    @property
+    def values(self) -> list[Any]:
+        """The values of the Bottle that came.
+
+        Raises:
+            WireError: it was none.
+        """
+        return binary.decode(self.raw.payload, self._profile)
+
+    def to(self, kind: type[T]) -> T:
+        """The message as one of YARP's data: ``message.to(yarp.Vector)``.
+
+        Raises:
+            WireError: it was something else.
+        """
+        content = kind()
+        content.from_wire(self.raw.payload, self._profile)
+        return content
+
+    @property
+    def envelope(self) -> str:
+        """The envelope's text, ``12 1795143618.02`` for a stamp; or empty."""
+        return self.raw.envelope
+
+    @property
+    def source(self) -> str:
+        """The name of the port that sent it."""
+        return self.raw.peer.route.source
+
+    @property
+    def wants_reply(self) -> bool:
+        """Whether the sender waits for a reply."""
+        return self.raw.wants_reply
+
+    def reply(self, content: Content) -> None:
+        """Answer, once."""
+        self.raw.reply(payload_of(content, self._reply_profile))
+
+
+class OpenPort:
+    """A port that is open between ``with`` and its end. See `Reader`, `Writer`, `Client` and `Server`.
+
+    Args:
+        name: the port's name; empty lets the name server choose one.
+        naming: who knows the names; by default the name server of ``yarp.conf``.
+        options: more arguments of `PortCore`.
+    """
+
+    def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
+        self.core = PortCore(name, on_message=self._take, naming=naming or NameClient(), **options)
+
+    @property
+    def name(self) -> str:
+        """The port's name, as the name server took it."""
+        return self.core.name
+
+    def open(self) -> Self:
+        """Open the port."""
+        self.core.open()
+        return self
+
+    def close(self) -> None:
+        """Close the port."""
+        self.core.close()
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def connect(self, target: str) -> Self:
+        """Connect the port's output to another port; ``udp://r`` says the carrier too.
+
+        Raises:
+            PortError: the other is not there, or does not take the connection.
+        """
+        done, said = self.core.add_output(target)
+        if not done:
+            raise PortError(said)
+        return self
+
+    def _take(self, message: Message) -> None:
+        """A message came, on its connection's thread."""
+
+
+class Reader(OpenPort):
+    """Reads: iteration gives each message as a `Received`, and ends when the port is closed.
+
+    Args:
+        name: the port's name.
+        strict: give every message; by default the newest one only.
+        patient: a message that wants a reply may get it after the next ones were read; by default it gets an empty one
+            when the next is read.
+        naming: as of `OpenPort`.
+        options: as of `OpenPort`.
+    """
+
+    def __init__(
+        self,
+        name: str = "",
+        *,
+        strict: bool = False,
+        patient: bool = False,
+        naming: Naming | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(name, naming=naming, is_output=False, **options)
+        self._inbox = Inbox()
+        self._inbox.strict = strict
+        self._patient = patient
+        self._due: Message | None = None
+
+    def read(self) -> Received | None:
+        """Wait for the next message; None once the port is closed."""
+        return self._given(self._inbox.take(wait=True))
+
+    def read_now(self) -> Received | None:
+        """The next message, if there is one."""
+        return self._given(self._inbox.take(wait=False))
+
+    def __iter__(self) -> Iterator[Received]:
+        while (message := self.read()) is not None:
+            yield message
+
+    def __len__(self) -> int:
+        return len(self._inbox)
+
+    def close(self) -> None:
+        """Close the port; whoever iterates comes to the end."""
+        self._inbox.close()
+        self._given(None)
+        super().close()
+
+    def _given(self, message: Message | None) -> Received | None:
+        if self._due is not None:
+            self._due.give_up()
+        self._due = None if self._patient else message
+        return None if message is None else Received(message, self.core.profile)
+
+    def _take(self, message: Message) -> None:
+        if message.wants_reply:
+            message.later()
+        self._inbox.put(message)
+
+
+class Writer(OpenPort):
+    """Writes: plain values or any of YARP's data, to all ports that are connected.
+
+    Arguments as of `OpenPort`.
+    """
+
+    def __init__(self, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
+        super().__init__(name, naming=naming, is_input=False, **options)
+
+    def write(self, content: Content, envelope: str = "", *, strict: bool = False) -> int:
+        """Send a message, and wait for nobody.
+
+        Args:
+            content: what is sent.
+            envelope: sent with it, such as ``stamp.to_text()``.
+            strict: after what is still on its way to a slow peer, instead of in its place.
+
+        Returns:
+            how many connections took it.
+        """
+        return self.core.write(payload_of(content, self.core.profile), envelope, strict=strict)
+
+
+class Client(OpenPort):
+    """Asks one server.
+
+    Args:
+        server: the server's port.
+        name: the own port's name.
+        naming: as of `OpenPort`.
+        options: as of `OpenPort`.
+    """
+
+    def __init__(self, server: str, name: str = "", *, naming: Naming | None = None, **options: Any) -> None:
+        super().__init__(name, naming=naming, is_input=False, rpc=True, **options)
+        self.server = server
+
+    def open(self) -> Self:
+        """Open the port and connect it to the server."""
+        super().open()
+        try:
+            return self.connect(self.server)
+        except BaseException:
+            self.close()
+            raise
+
+    def ask(self, content: Content, *, timeout: float | None = None) -> list[Any]:
+        """The values of the server's answer.
+
+        Raises:
+            TimeoutError: there was none in so many seconds.
+            ConnectionError: the server is gone.
+        """
+        return binary.decode(self.core.request(payload_of(content, self.core.profile), timeout=timeout))
+
+
+class Server(OpenPort):
+    """Answers: ``respond(values)`` returns an answer's values, on the thread of the client's connection.
+
+    Args:
+        name: the port's name.
+        respond: what to answer.
+        naming: as of `OpenPort`.
+        options: as of `OpenPort`.
+    """
+
+    def __init__(
+        self, name: str, respond: Callable[[list[Any]], Content], *, naming: Naming | None = None, **options: Any
+    ) -> None:
+        super().__init__(name, naming=naming, is_output=False, rpc=True, **options)
+        self._respond = respond
+
+    def _take(self, message: Message) -> None:
+        received = Received(message, self.core.profile)
+        received.reply(self._respond(received.values))
+
+
+def payload_of(content: Content, profile: Profile) -> Payload:
+    """The bytes of what is sent.
+
+    Raises:
+        WireError: there is a value that cannot be sent.
+    """
+    if isinstance(content, Portable):
+        return content.to_wire(profile)
+    to_wire = getattr(content, "to_wire", None)
+    return to_wire(profile) if to_wire is not None else binary.encode_parts(content, profile)
