@@ -43,6 +43,20 @@ def dial(
     return sock
 
 
+def say_farewell(contact: Contact, sender: str, seconds: float = 1.0) -> None:
+    """Tell a port that no datagrams will come any more, which it does not notice.
+
+    Raises:
+        OSError: it cannot be reached.
+    """
+    end = time.monotonic() + seconds
+    with socket.create_connection((contact.host, contact.port), seconds) as sock:
+        sock.sendall(header.opening(carriers.TEXT, "admin") + f"~{sender}\r\nq\r\n".encode())
+        with contextlib.suppress(ConnectionRefusedError):
+            while True:
+                _some(sock, 4096, end)
+
+
 def _datagrams(sock: socket.socket, host: str, number: int) -> socket.socket:
     family, address = sock.family, sock.getpeername()[:1]
     sock.close()

@@ -15,10 +15,8 @@ class ConnectionEvent:
         route: its names.
         incoming: it brings data to this port.
         up: it came.
-        reason: why it went, or "".
     """
 
     route: Route
     incoming: bool
     up: bool
-    reason: str = ""

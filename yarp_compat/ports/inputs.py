@@ -1,9 +1,10 @@
-"""An established input: a thread that takes one connection's messages."""
+"""An established input connection: waits on the shared thread for its first bytes, then has a thread of its own."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import selectors
 import socket
 import threading
 from typing import TYPE_CHECKING
@@ -12,66 +13,116 @@ from yarp_compat.ports.counters import Counters
 from yarp_compat.ports.message import Message, Payload
 from yarp_compat.ports.sending import send_all
 from yarp_compat.ports.stream import Stream
-from yarp_compat.wire import carriers, command
+from yarp_compat.wire import command
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.header import Opening
-from yarp_compat.wire.message import ACK, Buffer
+from yarp_compat.wire.message import ACK
 
 if TYPE_CHECKING:
+    from yarp_compat.ports.loop import Loop
     from yarp_compat.ports.port import PortCore
     from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger("yarp.ports")
-_TEXT_ACK = b"<ACK>\r\n"
 EMPTY = b"\x00\x01\x00\x00\x00\x00\x00\x00"
 """A Bottle with nothing in it."""
 
 
 class Input:
-    """One input connection on a stream of bytes: binary (tcp, fast_tcp, local) or text (text, text_ack).
+    """One input connection; its kinds say what is done with its bytes.
 
-    The messages of one connection are taken one after another, each when the port's owner is done with the one before; so a sender that
-    waits for acknowledgements goes no faster than the owner.
+    The messages of one connection are taken one after another, each when the port's owner is done with the one before;
+    so a sender that waits for acknowledgements goes no faster than the owner.
+
+    Args:
+        port: whose input it is.
+        sock: connected; the peer has introduced itself, and was answered.
+        opened: the introduction.
+        already: what came behind that.
+        address: the peer's.
     """
 
-    def __init__(self, port: PortCore, sock: socket.socket, opened: Opening, already: bytes) -> None:
+    def __init__(
+        self, port: PortCore, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int]
+    ) -> None:
         self.port = port
         self.route = Route(opened.sender, port.name, opened.carrier.name)
         self.carrier = opened.carrier
+        self.address = address
         self.profile: Profile | None = None
         self.counters = Counters()
-        self._sock = sock
-        self._stream = Stream(sock, already, port.limit)
+        self.sock = sock
+        sock.setblocking(True)
+        self.stream = Stream(sock, already, port.limit)
+        self._already = bool(already)
         self._thread: threading.Thread | None = None
+        self._over = threading.Event()
         self._closing = False
         self._waiting: Message | None = None
 
-    def start(self) -> None:
-        """Begin to take messages."""
+    # -- life ---------------------------------------------------------------------------------------------------------
+
+    def start(self, loop: Loop) -> None:
+        """Wait for the first bytes; only a connection that says something gets a thread."""
+        if self._already:
+            self._begin()
+        else:
+            loop.call(lambda: self._await(loop))
+
+    def _await(self, loop: Loop) -> None:
+        def ready(_: int) -> None:
+            loop.ignore(self.sock)
+            if self._closing:
+                self._end()
+            else:
+                self._begin()
+
+        try:
+            loop.watch(self.sock, selectors.EVENT_READ, ready)
+        except ValueError:  # more than the system's select can watch
+            self._begin()
+
+    def _begin(self) -> None:
         self._thread = threading.Thread(
-            target=self._run, name=f"yarp {self.route.source} to {self.route.target}", daemon=True
+            target=self._run, name=f"yarp {self.route.source} > {self.port.name}", daemon=True
         )
         self._thread.start()
 
     def close(self) -> None:
-        """End the connection; its thread ends soon."""
+        """End the connection soon."""
         self._closing = True
-        with contextlib.suppress(OSError):
-            self._sock.shutdown(socket.SHUT_RDWR)
+        self.wake()
         if (waiting := self._waiting) is not None:
             waiting.give_up()
 
+    def abandon(self) -> None:
+        """Close the socket, where no thread has it yet, or none any more."""
+        self.sock.close()
+        self._over.set()
+
+    def wake(self) -> None:
+        """Let whoever waits for bytes of the connection see its end."""
+        with contextlib.suppress(OSError):
+            self.sock.shutdown(socket.SHUT_RDWR)
+
     def join(self, seconds: float) -> None:
-        """Wait until the connection's thread has ended."""
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(seconds)
+        """Wait until the connection has ended."""
+        if self._thread is not threading.current_thread():
+            self._over.wait(seconds)
+            if self._thread is not None:
+                self._thread.join(seconds)
+
+    def _end(self) -> None:
+        self.sock.close()
+        self.port.ended(self)
+        self._over.set()
 
     def _run(self) -> None:
         try:
-            turned = self._take_text() if self.carrier.text else self._take_binary()
-            if turned:
-                self.port.turned(self, self._sock)
+            if self.take():
+                self.port.turned(self, self.sock)
+                self._over.set()
                 return
         except WireError as error:
             self.counters.dropped["malformed"] += 1
@@ -81,88 +132,62 @@ class Input:
                 _log.debug("connection %s -> %s broke: %s", self.route.source, self.route.target, error)
         except Exception:
             _log.exception("connection %s -> %s failed", self.route.source, self.route.target)
-        self._sock.close()
-        self.port.ended(self)
+        self._end()
 
-    def _take_binary(self) -> bool:
+    # -- messages -----------------------------------------------------------------------------------------------------
+
+    def take(self) -> bool:
         """Take messages until the end; True where the connection is to be turned round."""
-        next_message, acknowledged, deliver = self._stream.message, self.carrier.ack, self.port.deliver
-        while (found := next_message()) is not None:
-            key, text, payload = found
-            answer: Payload = b""
-            if key in ("D", "d"):
-                message = Message(payload, text[2:], self, key == "d")
-                self.counters.received += 1
-                answer = self._deliver(message) if key == "d" else deliver(message) or b""
-            elif key == "q":
-                if acknowledged:
-                    self._sock.sendall(ACK)
-                return False
-            elif key == "r":
-                if acknowledged:
-                    self._sock.sendall(ACK)
-                return True
-            elif key == "a":
-                answer = self.port.administer(payload, self)
-            else:
-                self.port.obey(command.PortCommand(key, text), self)
-            if acknowledged or answer:
-                self._answer(answer, ACK if acknowledged else b"")
-            message = found = payload = None  # type: ignore[assignment]  # the memory of a large message is used again
-        return False
+        raise NotImplementedError
 
-    def _deliver(self, message: Message) -> Payload:
-        """Give a message to the port's owner; the reply it wants."""
+    def deliver(self, message: Message) -> Payload:
+        """Give a message that wants a reply to the port's owner; the reply."""
         self._waiting = message
         self.port.deliver(message)
         reply = message.wait()
         self._waiting = None
         return EMPTY if reply is None else reply
 
-    def _answer(self, answer: Payload, ack: bytes) -> None:
-        if isinstance(answer, bytes):
-            self._sock.sendall(answer + ack)
-        elif isinstance(answer, (bytearray, memoryview)):
-            send_all(self._sock, [answer, ack])
-        else:
-            send_all(self._sock, [*answer, ack])
 
-    def _take_text(self) -> bool:
-        while (line := self._stream.line(command.LONGEST_TEXT)) is not None:
-            if not line:
+class BinaryInput(Input):
+    """An input of tcp, fast_tcp or local."""
+
+    def take(self) -> bool:
+        """Take messages until the end; True where the connection is to be turned round."""
+        next_message, send, deliver = self.stream.message, self.sock.sendall, self.port.deliver
+        ack = ACK if self.carrier.ack else b""
+        while (found := next_message()) is not None:
+            key, text, payload = found
+            if key == "D":
+                self.counters.received += 1
+                message = Message(payload, text[2:], self)
+                deliver(message)
+                if ack:
+                    send(ack)
+            elif key == "d":
+                self.counters.received += 1
+                message = Message(payload, text[2:], self, wants_reply=True)
+                self._answer(self.deliver(message), ack)
+            elif key == "a":
+                self._answer(self.port.administer(payload, self), ack)
                 continue
-            word = command.parse_line(line)
-            answer = b""
-            if word.key in ("d", "D", "a"):
-                content = self._stream.line()
-                if content is None:
-                    return False
-                answer = self._take_line(word, content)
-            elif word.key not in ("q", "r"):
-                answer = self._lines(self.port.obey(word, self))
-            if self.carrier.ack:
-                answer += _TEXT_ACK
-            if answer:
-                self._sock.sendall(answer)
-            if word.key in ("q", "r"):
-                return word.key == "r"
+            else:
+                if key not in ("q", "r"):
+                    self.port.obey(command.PortCommand(key, text))
+                if ack:
+                    send(ack)
+                if key in ("q", "r"):
+                    return key == "r"
+                continue
+            if message.is_last:
+                return False
+            message = found = payload = None  # type: ignore[assignment]  # so a large one's memory can be used again
         return False
 
-    def _take_line(self, word: command.PortCommand, content: bytes) -> bytes:
-        payload = self.port.from_line(content)
-        if word.key == "a":
-            return self.port.to_line(self.port.administer(payload, self))
-        quiet = word.key == "D" or word.text == "do" or not self.carrier.reply
-        message = Message(payload, word.envelope if word.text != "do" else "", self, not quiet)
-        self.counters.received += 1
-        if quiet:
-            self.port.deliver(message)
-            return b""
-        return self.port.to_line(self._deliver(message))
-
-    @staticmethod
-    def _lines(lines: tuple[str, ...]) -> bytes:
-        return "".join(f"{line}\r\n" for line in lines).encode()
-
-
-__all__ = ["EMPTY", "Buffer", "Input", "carriers"]
+    def _answer(self, answer: Payload, ack: bytes) -> None:
+        if isinstance(answer, bytes):
+            self.sock.sendall(answer + ack)
+        elif isinstance(answer, (bytearray, memoryview)):
+            send_all(self.sock, [answer, ack])
+        else:
+            send_all(self.sock, [*answer, ack])

@@ -55,6 +55,11 @@ class Listener:
             return
         self._loop.run(self._close)
 
+    def abandon(self) -> None:
+        """Let go of the sockets, without the shared thread."""
+        for sock in (self._sock, *self._silent):
+            sock.close()
+
     def _close(self) -> None:
         self._closed = True
         self._loop.ignore(self._sock)

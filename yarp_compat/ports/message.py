@@ -20,11 +20,13 @@ class Peer(Protocol):
     Attributes:
         route: the connection's names.
         carrier: how it carries.
+        address: the IP address and port number that it comes from.
         profile: the dialect its sender writes, where that is known; whoever recognises it by a message may set it.
     """
 
     route: Route
     carrier: Carrier
+    address: tuple[str, int]
     profile: Profile | None
 
 
@@ -36,9 +38,12 @@ class Message:
         envelope: its envelope's text, or "".
         peer: the connection it came on.
         wants_reply: the sender waits for a reply; one is always sent, an empty Bottle where the owner gives none.
+        replied: the reply.
+        is_plain: the reply is sent as it is on text carriers too.
+        is_last: the connection ends behind the reply.
     """
 
-    __slots__ = ("_answered", "_later", "envelope", "payload", "peer", "replied", "wants_reply")
+    __slots__ = ("_answered", "_later", "envelope", "is_last", "is_plain", "payload", "peer", "replied", "wants_reply")
 
     def __init__(self, payload: Buffer, envelope: str, peer: Peer, wants_reply: bool = False) -> None:
         self.payload = payload
@@ -46,19 +51,31 @@ class Message:
         self.peer = peer
         self.wants_reply = wants_reply
         self.replied: Payload | None = None
+        self.is_plain = False
+        self.is_last = False
         self._later: threading.Event | None = None
         self._answered = False
 
-    def reply(self, payload: Payload) -> None:
-        """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere)."""
+    def reply(self, payload: Payload, *, plain: bool = False) -> None:
+        """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
+
+        Args:
+            payload: a Bottle, or with ``plain`` lines of text, which are sent as they are on every carrier.
+            plain: it is no Bottle.
+        """
         if not self._answered:
             self._answered = True
             self.replied = payload
+            self.is_plain = plain
             if self._later is not None:
                 self._later.set()
 
+    def drop(self) -> None:
+        """End the connection, when it has been answered; before the port's ``on_message`` returns, or before the reply."""
+        self.is_last = True
+
     def later(self) -> None:
-        """Say, before the port's ``on_message`` returns, that the reply comes later and from another thread: the connection waits for it."""
+        """Say, before ``on_message`` returns, that the reply comes from another thread: the connection waits for it."""
         self._later = threading.Event()
 
     def give_up(self) -> None:

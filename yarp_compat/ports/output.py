@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.sending import flat, send_some, sent
-from yarp_compat.wire import carriers, message
+from yarp_compat.ports.sending import send_some, sent
+from yarp_compat.wire import carriers, http, message
 from yarp_compat.wire.carriers import Carrier, framed
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.errors import Incomplete, WireError
@@ -29,7 +29,7 @@ _STEP = 0.2
 _FAREWELL = 0.5
 """Seconds that a peer has to acknowledge the end of a connection."""
 _CHUNK = 1 << 16
-_TEXT_QUIT = b"q\r\n"
+_FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
 
 ReplyEnd = Callable[[Buffer], int]
 """Where a reply ends that stands at the beginning of these bytes; raises Incomplete when more must come."""
@@ -270,7 +270,19 @@ class Output:
     @property
     def busy(self) -> bool:
         """Whether a message is still on its way out."""
-        return self._driven
+        return self._driven or self._due
+
+    def wait_idle(self, deadline: float | None) -> bool:
+        """Wait until nothing is on its way any more, acknowledgements included; False where something still is by the deadline."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline)):
+                return False
+            if self.closed or not self._due:
+                return True
+            self._driven = True
+        item = Item([], ours=True)
+        self._current = item
+        return self.finish(item, deadline)
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
@@ -409,10 +421,16 @@ class Output:
             self._sock.shutdown(socket.SHUT_RDWR)  # its driver wakes up, and closes it
         self._loop.call(self._dispose_if_watched)
 
+    def abandon(self) -> None:
+        """Let go of the socket, and say nothing."""
+        self._changed = threading.Condition()  # another thread may have had it locked in the parent process
+        self.closed = True
+        self._dispose()
+
     def _say_goodbye(self) -> None:
         if self._due and not self._take_ack(self._sock):
             return
-        self._sock.send(_TEXT_QUIT if self.carrier.text else message.QUIT)
+        self._sock.send(_FAREWELLS.get(self.carrier, message.QUIT))
         if self.carrier.ack and not self._loop.is_own_thread:
             self._due = True
             end = time.monotonic() + _FAREWELL
@@ -470,6 +488,3 @@ def _ack_end(came: bytes, carrier: Carrier) -> int:
         raise ConnectionResetError(msg)
     end = len(message.ACK) + length
     return end if len(came) >= end else 0
-
-
-__all__ = ["Item", "Output", "ReplyEnd", "carriers", "flat"]

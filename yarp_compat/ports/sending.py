@@ -5,10 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Sequence
 
-from yarp_compat.wire.message import Buffer
-
-JOINED = 1 << 14
-"""Bytes up to which buffers are put together: cheaper than to hand the kernel several."""
+from yarp_compat.wire.message import JOINED, Buffer
 
 
 def send_all(sock: socket.socket, buffers: Sequence[Buffer]) -> None:

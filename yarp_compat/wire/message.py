@@ -28,6 +28,9 @@ _QUIT = command.binary("", "q")
 QUIT = INDEX + b"\x01\x01" + _FILL + struct.pack("<ii", len(_QUIT), 0) + _QUIT
 """The message that ends a connection politely."""
 
+JOINED = 1 << 14
+"""Bytes up to which buffers are put together: cheaper than to hand the system several."""
+
 _DATA = {key: command.binary(key) for key in "dDa"}
 
 

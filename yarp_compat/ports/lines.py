@@ -1,0 +1,25 @@
+"""Bottles as lines of text, for the carriers that carry such."""
+
+from __future__ import annotations
+
+from yarp_compat.ports.message import Payload
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text, to_text
+
+
+def to_line(payload: Payload, plain: bool = False) -> bytes:
+    """A Bottle's line, with its end; or with ``plain``, text as it is.
+
+    Raises:
+        WireError: it is no Bottle.
+    """
+    data = payload if isinstance(payload, (bytes, bytearray, memoryview)) else b"".join(payload)
+    if plain:
+        return bytes(data)
+    return to_text(decode(data)).encode(errors="surrogateescape") + b"\r\n"
+
+
+def from_line(line: bytes, profile: Profile) -> bytes:
+    """The Bottle of a line."""
+    return encode(from_text(line.decode(errors="surrogateescape")), profile)

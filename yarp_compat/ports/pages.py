@@ -1,0 +1,85 @@
+"""Inputs from browsers: a page about the port, a message from a form, or a stream of what the port writes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from yarp_compat.ports.commands import describe
+from yarp_compat.ports.inputs import Input
+from yarp_compat.ports.message import Message
+from yarp_compat.wire import http
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.http import Request
+from yarp_compat.wire.text import from_text, to_text
+
+
+class PageInput(Input):
+    """An input of http: one request."""
+
+    def take(self) -> bool:
+        """Answer the request; True where the port's messages are to be streamed from now on."""
+        head = b""
+        while True:
+            line = self.stream.line(http.LONGEST_HEAD)
+            if line is None:
+                return False
+            if not line and head:
+                break
+            head += line + b"\n"
+            if len(head) > http.LONGEST_HEAD:
+                self.sock.sendall(http.response(b"too long\n", "text/plain", "431 Request Header Fields Too Large"))
+                return False
+        try:
+            request = http.parse(head)
+            if request.length:
+                request = request.with_form(self.stream.exactly(request.length) or b"")
+            if request.path in ("r", "read"):
+                self.sock.sendall(http.STREAM_HEAD)
+                return True
+            answer = self._answer(request)
+        except WireError as error:
+            answer = http.response(f"{error}\n".encode(), "text/plain; charset=utf-8", "400 Bad Request")
+        self.sock.sendall(answer)
+        return False
+
+    def _answer(self, request: Request) -> bytes:
+        query = request.query
+        if request.path == "favicon.ico":
+            return http.response(b"", "image/x-icon", "404 Not Found")
+        if request.foreign and (query or request.path):
+            msg = "another site's page must not talk to a port"
+            return http.response(msg.encode() + b"\n", "text/plain", "403 Forbidden")
+        if "admin" in query:
+            told = query["admin"] or query.get("data", "")
+            words = decode(self.port.administer(encode(from_text(told), self.port.profile), self))
+            return self._page([to_text(words)])
+        if "req" in query:
+            return self._message(from_text(query["req"]), as_json=True)
+        if "data" in query:
+            return self._message(from_text(query["data"]), as_json=query.get("format") == "json")
+        if not request.path:
+            return self._page(describe(self.port))
+        words = [*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])]
+        return self._message(words, as_json=False)
+
+    def _message(self, values: list[Any], *, as_json: bool) -> bytes:
+        """Give the port's owner a message, and show the reply."""
+        message = Message(encode(values, self.port.profile), "", self, wants_reply=True)
+        self.counters.received += 1
+        reply = self.deliver(message)
+        data = reply if isinstance(reply, (bytes, bytearray, memoryview)) else b"".join(reply)
+        if message.is_plain:
+            return self._page(bytes(data).decode(errors="replace").split("\r\n"))
+        told = decode(data)
+        if as_json:
+            return http.response(http.as_json(told), "application/json")
+        own = dict(zip(told[::2], told[1::2], strict=False)) if told[:1] == ["web"] else {}
+        if own:  # a page that the owner made himself
+            return http.response(
+                str(own["web"]).encode(errors="replace"), str(own.get("mime", "text/html")).partition("\n")[0]
+            )
+        return self._page([str(v) for v in told[1:]] if told[:1] == ["many"] else [to_text(told)])
+
+    def _page(self, lines: tuple[str, ...] | list[str]) -> bytes:
+        return http.response(http.page(self.port.name, lines))

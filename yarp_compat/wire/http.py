@@ -1,0 +1,142 @@
+"""The little of HTTP that a port speaks with browsers and curl."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import parse_qsl, unquote_plus, urlsplit
+
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.errors import WireError
+
+LONGEST_HEAD = 16 << 10
+LONGEST_BODY = 1 << 20
+_MOST_FIELDS = 100
+_ALWAYS = "Connection: close\r\nX-Content-Type-Options: nosniff\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a browser asks.
+
+    Attributes:
+        path: what is asked for, without its leading slash and its query.
+        query: the query's fields; a form's too.
+        length: bytes of the body that follows.
+        foreign: a page of somebody else asks, in a browser's user's name.
+    """
+
+    path: str
+    query: dict[str, str]
+    length: int
+    foreign: bool
+
+    def with_form(self, body: bytes) -> Request:
+        """The same with the fields of a form."""
+        return Request(self.path, {**self.query, **_fields(body.decode(errors="replace"))}, 0, self.foreign)
+
+
+def parse(head: bytes) -> Request:
+    r"""Read a request: all up to its empty line.
+
+    Raises:
+        WireError: it is none that is understood.
+    """
+    lines = head.decode("latin-1").replace("\r\n", "\n").split("\n")
+    words = lines[0].split(" ")
+    if len(words) < 2 or words[0] not in ("GET", "POST") or not words[1].startswith("/"):
+        msg = f"no request for a page: {lines[0][:60]!r}"
+        raise WireError(msg)
+    headers = {}
+    for line in lines[1:]:
+        name, _, value = line.partition(":")
+        headers[name.strip().lower()] = value.strip()
+    told = headers.get("content-length", "0")
+    if not told.isascii() or not told.isdigit() or int(told[:10]) > LONGEST_BODY:
+        msg = f"a form of {told[:20]!r} bytes; at most {LONGEST_BODY} are taken"
+        raise WireError(msg)
+    origin = headers.get("origin", "")
+    foreign = bool(origin) and origin != "null" and not origin.endswith("//" + headers.get("host", ""))
+    path, query = _split(words[1])
+    return Request(
+        path, query, int(told) if words[0] == "POST" else 0, foreign or headers.get("sec-fetch-site") == "cross-site"
+    )
+
+
+def _split(target: str) -> tuple[str, dict[str, str]]:
+    try:
+        parts = urlsplit("http://port" + target)
+    except ValueError as error:
+        msg = f"no address of a page: {target[:60]!r}"
+        raise WireError(msg) from error
+    path = parts.path[1:]
+    query = _fields(parts.query)
+    key, found, value = path.partition("=")
+    if found and key in ("data", "req", "admin"):  # YARP's own pages link to /data=list
+        return "", {**query, key: unquote_plus(value)}
+    return unquote_plus(path), query
+
+
+def _fields(text: str) -> dict[str, str]:
+    try:
+        return dict(parse_qsl(text, keep_blank_values=True, max_num_fields=_MOST_FIELDS))
+    except ValueError as error:
+        msg = f"a form of more than {_MOST_FIELDS} fields, or none that can be read"
+        raise WireError(msg) from error
+
+
+def response(body: bytes, mime: str = "text/html; charset=utf-8", status: str = "200 OK") -> bytes:
+    """A whole answer."""
+    kind = "".join(c for c in mime if c.isprintable())
+    head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n{_ALWAYS}\r\n"
+    return head.encode("latin-1", errors="replace") + body
+
+
+STREAM_HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: text/plain; charset=utf-8\r\nTransfer-Encoding: chunked\r\nCache-Control: no-store\r\n\r\n"
+"""Before the chunks of what a port writes."""
+STREAM_END = b"0\r\n\r\n"
+
+
+def page(name: str, lines: Sequence[str]) -> bytes:
+    """A page about a port: links to what can be asked of it, a form to send it a message, and lines, those that name a port as links to that."""
+    body = "\n".join(_linked(line) for line in lines)
+    told = html.escape(name)
+    return (
+        f"<!DOCTYPE html><html><head><title>{told}</title></head><body bgcolor='#ffffcc'><h1>yarp port {told}</h1>\n"
+        '<p>(<a href="/">connections</a>)&nbsp;&nbsp;(<a href="/data=help">help</a>)&nbsp;&nbsp;(<a href="/r">read</a>)</p>\n'
+        '<form method="post" action="/form"><input type=text name=data><input type=submit value="send data"></form>\n'
+        f"<pre>\n{body}\n</pre></body></html>\n"
+    ).encode(errors="replace")
+
+
+def _linked(line: str) -> str:
+    contact = Contact.from_registration(line)
+    if contact is None:
+        return html.escape(line)
+    name = html.escape(contact.name, quote=True)
+    if contact.carrier != "tcp":
+        return f"{name:<30} ({html.escape(contact.uri)})"
+    address = html.escape(f"http://{contact.host}:{contact.port}/", quote=True)
+    return f'<a href="{address}">{name}</a>{" " * max(1, 30 - len(contact.name))}({html.escape(contact.uri)})'
+
+
+def as_json(values: Sequence[Any]) -> bytes:
+    """A Bottle as JSON: lists of (key value) are objects, other lists are arrays."""
+    return json.dumps(_plain(values), ensure_ascii=True, allow_nan=False, default=str).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        if len(value) > 1 and all(isinstance(v, (list, tuple)) and len(v) == 2 for v in value):
+            return {str(k): _plain(v) for k, v in value}
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):  # noqa: PLR0124
+        return str(value)
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    return value
