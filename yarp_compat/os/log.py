@@ -165,9 +165,13 @@ class LogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
         kind = next((kind for least, kind in _LEVELS if record.levelno >= least), LogType.TraceType)
-        Log._say(kind, record.getMessage(), (), record.name)
+        text = record.getMessage()
+        if record.exc_info:
+            text += "\n" + _FORMATTER.formatException(record.exc_info)
+        Log._say(kind, text, (), record.name)
 
 
+_FORMATTER = logging.Formatter()
 _LEVELS = (
     (logging.ERROR, LogType.ErrorType),
     (logging.WARNING, LogType.WarningType),

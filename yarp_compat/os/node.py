@@ -1,7 +1,8 @@
 """ROS topics from YARP code: `Node`, `Publisher`, `Subscriber`, on ordinary ports named ``/topic+@/node``.
 
 No ROS library is needed: a Midspan daemon on the same YARP network sees such a port at the name server and joins it
-with the topic on ROS 1 or ROS 2. Publishers and subscribers of one topic that are both YARP ports are connected directly.
+with the topic on ROS 1 or ROS 2. Publishers and subscribers of one topic that are both YARP ports are connected
+directly.
 """
 
 from __future__ import annotations

@@ -1,0 +1,57 @@
+"""Messages on the terminal, as YARP prints them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from yarp_compat.os.log import Log, LogHandler, LogType, enabled, line
+
+
+@pytest.fixture(autouse=True)
+def level() -> Iterator[None]:
+    before = Log.minimumPrintLevel()
+    yield
+    Log.setMinimumPrintLevel(before)
+    Log.setPrintCallback(Log.defaultPrintCallback())
+
+
+def test_messages_go_where_yarp_sends_them(capsys: pytest.CaptureFixture[str]) -> None:
+    Log.setMinimumPrintLevel(Log.DebugType)
+    Log().info("speed %.1f of %s", 0.25, "r1")
+    Log.debug("50% done")
+    Log.trace("not shown")
+    Log.warning("careful")
+    Log.error("broken")
+    out, err = capsys.readouterr()
+    assert out == "[INFO] speed 0.2 of r1\n[DEBUG] 50% done\n"
+    assert err == "[WARNING] careful\n[ERROR] broken\n"
+
+
+def test_fatal_ends_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        Log.fatal("over")
+    assert capsys.readouterr().err == "[FATAL] over\n"
+
+
+def test_a_callback_prints_instead(capsys: pytest.CaptureFixture[str]) -> None:
+    said: list[tuple[LogType, str, str]] = []
+    Log.setPrintCallback(lambda *message: said.append(message))
+    Log.info("hello")
+    assert said == [(LogType.InfoType, "hello", "")]
+    assert capsys.readouterr().out == ""
+
+
+def test_the_librarys_messages_name_their_component(capsys: pytest.CaptureFixture[str]) -> None:
+    handler = LogHandler()
+    handler.emit(logging.LogRecord("yarp.os.Port", logging.ERROR, "", 0, "port %s failed", ("/a",), None))
+    assert capsys.readouterr().err == "[ERROR] |yarp.os.Port| port /a failed\n"
+
+
+def test_lines() -> None:
+    assert line(LogType.InfoType, "text", "yarp.os.Port", colour=True) == "[\033[01;34mINFO\033[00m] |yarp.os.Port| text"
+    assert enabled({"X": "1"}, "X", default=False)
+    assert not enabled({"X": "no"}, "X", default=True)
+    assert enabled({}, "X", default=True)

@@ -1,0 +1,23 @@
+"""``python -m yarp_compat script.py ...`` runs a script that says ``import yarp``, unchanged."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import yarp_compat
+
+
+def main() -> None:
+    """Run the script that the command line names."""
+    if len(sys.argv) < 2:
+        sys.exit("usage: python -m yarp_compat script.py [arguments]")
+    sys.modules["yarp"] = yarp_compat
+    sys.argv = sys.argv[1:]
+    sys.path[0] = str(Path(sys.argv[0]).resolve().parent)
+    runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()
