@@ -20,10 +20,11 @@ from bridge.adapters.base import (
     MadeBy,
     Sighting,
 )
-from bridge.adapters.ros2 import farewell, neighbours, rcl, shm
+from bridge.adapters.ros2 import neighbours, rcl, shm, spdp
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
 from bridge.adapters.ros2.loop import Loop, TakeLoop
+from bridge.adapters.ros2.mark import new_prefix, participant_number
 from bridge.adapters.ros2.origins import Origins
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.presence import TYPE, Presence
@@ -83,11 +84,7 @@ class Ros2Edge(Edge):
         self._origins = Origins(
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
         )
-        farewell.say(
-            self._origins.predecessors,
-            domain(self._config, os.environ),
-            localhost_only=self._config.ros2.localhost_only and self._config.ros2.profile is None,
-        )
+        self._greet(self._origins.predecessors)
         graph.start()
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         self._presence = Presence(
@@ -98,6 +95,13 @@ class Ros2Edge(Edge):
             self._origins.past,
             listener.presence_changed,
         )
+
+    def _greet(self, dead: Sequence[bytes]) -> None:
+        """Say farewell for our dead predecessors, and have everybody announce himself to us."""
+        number, caller = domain(self._config, os.environ), new_prefix(rcl.host_prefix())
+        call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
+        localhost_only = self._config.ros2.localhost_only and self._config.ros2.profile is None
+        spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=localhost_only)
 
     def _changed(self, snapshot: Snapshot) -> None:
         if self._neighbours is not None:

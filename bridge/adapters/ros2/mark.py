@@ -8,14 +8,33 @@ endpoint carries its GUID, so who made it is known at once, whatever the nodes a
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 PREFIX_BYTES = 12
 _MARK = b"MSPN"
 
 
-def new_prefix(host: bytes) -> bytes:
-    """A fresh marked prefix; ``host`` is the four bytes that Fast DDS gives to participants of this host."""
-    return host + os.urandom(4) + _MARK
+_FIRST_NUMBER, _NUMBERS = 32, 80
+"""Above those that participants have which count up from 0, and below 120, where the ports of the next domain begin."""
+_LATELY = 8
+
+
+def new_prefix(host: bytes, past: Sequence[bytes] = ()) -> bytes:
+    """A fresh marked prefix; ``host`` is the four bytes that Fast DDS gives to participants of this host.
+
+    A participant's ports follow from its number. If it took those of a predecessor, others would go on writing into the
+    dead one's shared memory: what they say first would be lost, and come again with their heartbeats, up to 3 s later.
+    So its number is none that the last of the ``past`` ones had.
+    """
+    taken = {participant_number(prefix) for prefix in past[-_LATELY:]}
+    while participant_number(prefix := host + os.urandom(4) + _MARK) in taken:
+        pass
+    return prefix
+
+
+def participant_number(prefix: bytes) -> int:
+    """The participant's number on its host that goes with a prefix of ours."""
+    return _FIRST_NUMBER + prefix[4] % _NUMBERS
 
 
 def is_marked(gid: bytes) -> bool:

@@ -7,12 +7,14 @@ counts as ours, since nothing may cross while it is unknown where it comes from.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from bridge.adapters.keep import keep
+from bridge.adapters.ros2.mark import PREFIX_BYTES
 
 DISCOVERY_SECONDS = 1.5
 """A participant announces itself each half second; see `bridge.adapters.ros2.profile`."""
@@ -44,7 +46,7 @@ class Origins:
         self, own: bytes, folder: Path, participants: Callable[[], frozenset[bytes]], settled: Callable[[], None]
     ) -> None:
         self._participants, self._settled = participants, settled
-        kept = _remember(own, folder / _FILE)
+        kept = _remember(own, folder)
         self.past = frozenset(kept)
         self.predecessors = kept[:-1][-_PREDECESSORS:]
         self._lock = threading.Lock()
@@ -81,18 +83,22 @@ class Origins:
             timer.join()
 
 
-def _remember(own: bytes, file: Path) -> list[bytes]:
-    """Add our prefix to those kept, and return them all, ours last."""
+def kept_prefixes(folder: Path) -> list[bytes]:
+    """The prefixes of this daemon's past participants, the newest last."""
+    found = []
     try:
-        lines = file.read_text(errors="replace").split()
+        lines = (folder / _FILE).read_text(errors="replace").split()
     except OSError:
-        lines = []
-    lines = [*(line for line in lines if line != own.hex()), own.hex()][-_KEPT:]
-    keep(file, "\n".join(lines) + "\n", "for some seconds after a crash, topics of its own may come back")
-    past = []
+        return []
     for line in lines:
-        try:
-            past.append(bytes.fromhex(line))
-        except ValueError:
-            continue
-    return past
+        with contextlib.suppress(ValueError):
+            found.append(bytes.fromhex(line))
+    return [prefix for prefix in found if len(prefix) == PREFIX_BYTES]
+
+
+def _remember(own: bytes, folder: Path) -> list[bytes]:
+    """Add our prefix to those kept, and return them all, ours last."""
+    prefixes = [*(p for p in kept_prefixes(folder) if p != own), own][-_KEPT:]
+    text = "".join(f"{prefix.hex()}\n" for prefix in prefixes)
+    keep(folder / _FILE, text, "for some seconds after a crash, topics of its own may come back")
+    return prefixes

@@ -9,6 +9,7 @@ from bridge.adapters.keep import keep
 from bridge.adapters.ros2 import neighbours, rcl, shm
 from bridge.adapters.ros2.environment import SWITCHES, UNSET
 from bridge.adapters.ros2.mark import new_prefix
+from bridge.adapters.ros2.origins import kept_prefixes
 from bridge.adapters.ros2.profile import Profile, stamped
 from bridge.config.model import Config
 
@@ -22,7 +23,8 @@ def use_profile(config: Config, state: Path) -> Profile:
     """
     if _used:
         return _used[0]
-    profile = Profile(new_prefix(rcl.host_prefix()), _segment(config, state), config.ros2.localhost_only)
+    prefix = new_prefix(rcl.host_prefix(), kept_prefixes(state / "ros2"))
+    profile = Profile(prefix, _segment(config, state), config.ros2.localhost_only)
     own = config.ros2.profile
     text = profile.xml() if own is None else stamped(own, profile.prefix)
     path = state / "ros2" / "fastdds.xml"

@@ -11,7 +11,7 @@ What was measured with Fast DDS 2.14.5, the side's nodes on their defaults:
   after the writer's next heartbeat, which is every 3 s.
 - The default shared-memory segment (512 kB) makes a message of 1 MB five times slower than a large one does.
 - A participant's death without a word is noticed after its lease, 20 s by default; see
-  `bridge.adapters.ros2.farewell` for why it is not shorter here.
+  `bridge.adapters.ros2.spdp` for why it is not shorter here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from bridge.adapters.ros2.farewell import MULTICAST, PARTICIPANTS
+from bridge.adapters.ros2.mark import participant_number
+from bridge.adapters.ros2.spdp import MULTICAST, PARTICIPANTS
 
 _NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _QUEUE = "8192"
@@ -60,6 +61,7 @@ class Profile:
             _text(used, "transport_id", name)
         _text(rtps, "useBuiltinTransports", "false")
         self._builtin(ET.SubElement(rtps, "builtin"))
+        _text(rtps, "participantID", str(participant_number(self.prefix)))
         _stamp(rtps, self.prefix)
         return ET.tostring(root, encoding="unicode", xml_declaration=True)
 

@@ -218,6 +218,19 @@ def test_killed_edge_vanishes_and_is_never_taken_for_native(programs: Programs, 
     edge.gone("/x/killed", Kind.PUBLISHER)
 
 
+@pytest.mark.alone
+@pytest.mark.parametrize("transport", ["shared_memory", "udp"])
+def test_a_successor_hears_at_once_and_not_at_the_next_announcement(programs: Programs, transport: str) -> None:
+    native = programs.native()
+    sends = native.advertise("/x/in", "std_msgs/String")
+    native.ask("count", id=sends, first=1, count=1_000_000, rate=100)
+    for _ in range(5):
+        edge = programs.edge(transport=transport)
+        heard = edge.ask("subscribe", topic="/x/in")["id"]
+        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements and heartbeats come each 3 s"
+        edge.signal(signal.SIGKILL)
+
+
 @pytest.mark.parametrize("seconds", [1.0, 3.0])
 def test_everything_crosses_again_after_an_edge_stood_still(programs: Programs, seconds: float) -> None:
     edge, native = programs.edge(), programs.native()

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from bridge.adapters.ros2 import origins as module
-from bridge.adapters.ros2.mark import new_prefix
-from bridge.adapters.ros2.origins import Origins
+from bridge.adapters.ros2.mark import new_prefix, participant_number
+from bridge.adapters.ros2.origins import Origins, kept_prefixes
 from tests.support.wait import until
 
 HOST = b"\x01\x0f\x00\x00"
@@ -69,3 +69,19 @@ def test_spoiled_or_long_file_is_borne(case: Case) -> None:
     kept = (case.folder / "prefixes").read_text().split()
     assert len(kept) == 64
     assert kept[-2] == old[-1]
+
+
+def test_a_successor_has_another_number_and_so_other_ports(case: Case) -> None:
+    past: list[bytes] = []
+    for _ in range(12):
+        past.append(new_prefix(HOST, past))
+        case.start(past[-1])
+    assert kept_prefixes(case.folder) == past
+    numbers = [participant_number(prefix) for prefix in past]
+    assert all(number not in numbers[max(0, i - 8) : i] for i, number in enumerate(numbers))
+    assert all(32 <= number < 120 for number in numbers), "beside those that count from 0, within the domain's ports"
+
+
+def test_rubbish_among_the_kept_prefixes_is_passed_over(case: Case) -> None:
+    (case.folder / "prefixes").write_text(f"no hex\nabcd\n{new_prefix(HOST).hex()}\n")
+    assert len(kept_prefixes(case.folder)) == 1

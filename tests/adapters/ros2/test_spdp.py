@@ -1,4 +1,4 @@
-"""The packet by which a dead DDS worker leaves, read back by the RTPS specification, and who gets it."""
+"""Our own words in DDS discovery, read back by the RTPS specification, and who gets them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bridge.adapters.ros2 import farewell
+from bridge.adapters.ros2 import spdp
 
 PREFIX = bytes.fromhex("010f4d5350414e0102030405")
 GUID = PREFIX + bytes.fromhex("000001c1")
@@ -30,17 +30,17 @@ def parameters(data: bytes) -> tuple[dict[int, bytes], bytes]:
         found[pid], data = data[4 : 4 + length], data[4 + length :]
 
 
-def test_the_packet_is_what_a_leaving_participant_says() -> None:
-    said = farewell.packet(PREFIX)
+def data(said: bytes, flags: int) -> tuple[int, bytes]:
+    """The sequence number of a message's one DATA submessage, and what follows it."""
     # 9.4.4: the header
     protocol, major, minor, vendor, prefix = struct.unpack_from("4sBB2s12s", said)
     assert (protocol, major) == (b"RTPS", 2)
     assert minor >= 1
     assert (vendor, prefix) == (PREFIX[:2], PREFIX)
     # 9.4.5.1: the header of its one submessage
-    kind, flags, length = struct.unpack_from("<BBH", said, 20)
+    kind, seen, length = struct.unpack_from("<BBH", said, 20)
     assert kind == 0x15, "DATA"
-    assert flags == 0b1011, "little endian (E), inline QoS (Q), no data (D) but a key (K)"
+    assert seen == flags
     body = said[24:]
     assert len(body) == length
     # 9.4.5.4: DATA; entity ids of 9.3.1.5
@@ -49,8 +49,13 @@ def test_the_packet_is_what_a_leaving_participant_says() -> None:
     assert body[4:8] == bytes.fromhex("000100c7"), "SPDPbuiltinParticipantReader"
     assert body[8:12] == bytes.fromhex("000100c2"), "SPDPbuiltinParticipantWriter"
     high, low = struct.unpack_from("<iI", body, 12)
-    assert (high << 32) + low > 1_000_000, "newer than all that the dead one said"
-    inline, rest = parameters(body[4 + to_qos :])
+    return (high << 32) + low, body[4 + to_qos :]
+
+
+def test_farewell_is_what_a_leaving_participant_says() -> None:
+    number, rest = data(spdp.farewell(PREFIX), 0b1011)  # little endian (E), inline QoS (Q), no data (D) but a key (K)
+    assert number > 1_000_000, "newer than all that the dead one said"
+    inline, rest = parameters(rest)
     assert inline[0x0070] == GUID, "PID_KEY_HASH"
     assert inline[0x0071] == b"\0\0\0\x03", "PID_STATUS_INFO: disposed and unregistered (9.6.4.9), big endian"
     # 9.4.2.12, 10.2: the key as a parameter list
@@ -58,6 +63,21 @@ def test_the_packet_is_what_a_leaving_participant_says() -> None:
     key, rest = parameters(rest[4:])
     assert key == {0x0050: GUID}, "PID_PARTICIPANT_GUID"
     assert rest == b""
+
+
+def test_hello_tells_where_the_other_one_is() -> None:
+    number, rest = data(spdp.hello(PREFIX, DOMAIN, 40), 0b0101)  # little endian, data
+    assert number == 1
+    assert rest[:4] == b"\0\x03\0\0", "PL_CDR_LE"
+    told, rest = parameters(rest[4:])
+    assert rest == b""
+    assert told[0x0050] == GUID
+    assert told[0x0016][:2] == PREFIX[:2], "PID_VENDORID"
+    # 9.3.2: kind, port, 16 bytes of address
+    unicast = struct.pack("<iI12s4s", 1, GROUP_PORT + 10 + 2 * 40, b"", bytes((127, 0, 0, 1)))
+    group = struct.pack("<iI12s4s", 1, GROUP_PORT, b"", bytes((239, 255, 0, 1)))
+    assert (told[0x0032], told[0x0033]) == (unicast, group), "PID_METATRAFFIC_UNICAST_ and _MULTICAST_LOCATOR"
+    assert struct.unpack("<I", told[0x0058]) == (0b11,), "nothing but SPDP's own endpoints: nobody matches anything"
 
 
 @contextlib.contextmanager
@@ -73,12 +93,12 @@ def listening(address: str, port: int, interface: str = "") -> Iterator[socket.s
         yield sock
 
 
-@pytest.mark.parametrize("participant", [0, farewell.PARTICIPANTS - 1])
+@pytest.mark.parametrize("participant", [0, spdp.PARTICIPANTS - 1])
 def test_everybody_on_this_machine_hears_it(participant: int) -> None:
     unicast = GROUP_PORT + 10 + 2 * participant  # PB + DG * domain + d1 + PG * participant
     with listening("239.255.0.1", GROUP_PORT, "lo") as group, listening("127.0.0.1", unicast) as one:
-        farewell.say([PREFIX], DOMAIN, localhost_only=True)
-        assert group.recv(1000) == one.recv(1000) == farewell.packet(PREFIX)
+        spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=True)
+        assert group.recv(1000) == one.recv(1000) == spdp.farewell(PREFIX)
 
 
 class Network:
@@ -114,7 +134,7 @@ def test_each_interface_in_reach_and_none_beyond(
     monkeypatch: pytest.MonkeyPatch, localhost_only: bool, told: list[str]
 ) -> None:
     network = Network(monkeypatch)
-    farewell.say([PREFIX], DOMAIN, localhost_only=localhost_only)
+    spdp.say([spdp.farewell(PREFIX)], DOMAIN, localhost_only=localhost_only)
     assert groups(network) == told
     assert {address for _, address, _ in network.sent} == {"239.255.0.1", "127.0.0.1"}, "unicast stays on this machine"
 
@@ -122,7 +142,7 @@ def test_each_interface_in_reach_and_none_beyond(
 @pytest.mark.parametrize("refuse", ["239.255.0.1", "127.0.0.1"])
 def test_a_refusal_stops_nothing_else(monkeypatch: pytest.MonkeyPatch, refuse: str) -> None:
     network = Network(monkeypatch, refuse)
-    farewell.say([PREFIX, PREFIX[::-1]], DOMAIN, localhost_only=False)
-    assert groups(network) == ["lo", "eth0"] * 2
-    unicast = [port for _, address, port in network.sent if address == "127.0.0.1"]
-    assert unicast == [GROUP_PORT + 10 + 2 * number for number in range(farewell.PARTICIPANTS)] * 2
+    spdp.say([b"one", b"two"], DOMAIN, localhost_only=False)
+    assert sorted(set(groups(network))) == ["eth0", "lo"]
+    unicast = {port for _, address, port in network.sent if address == "127.0.0.1"}
+    assert unicast == {GROUP_PORT + 10 + 2 * number for number in range(spdp.PARTICIPANTS)}
