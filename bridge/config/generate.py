@@ -121,7 +121,7 @@ def _reference_section(title: str, model: type[BaseModel], description: str, pat
     yield "| Key | Value | Default | What it does |"
     yield "|---|---|---|---|"
     for key in keys(model):
-        default = "see there" if key.section is not None and not key.is_list else _shown(key.default)
+        default = "see there" if key.section is not None and not key.is_list else _shown(key)
         yield f"| `{key.name}` | {_cell(key.value)} | {default} | {_cell(key.description)} |"
     for key in keys(model):
         if key.section is None:
@@ -132,10 +132,10 @@ def _reference_section(title: str, model: type[BaseModel], description: str, pat
         yield from _reference_section(f"`{inner}`", key.section, text, f"{inner}{'[]' if key.is_list else ''}.")
 
 
-def _shown(default: str | None) -> str:
-    if default is None:
-        return "the machine's name"
-    return "none" if default == "null" else f"`{default}`"
+def _shown(key: Key) -> str:
+    if key.default is None:
+        return "the machine's name" if key.name == "name" else "needed"
+    return "none" if key.default == "null" else f"`{key.default}`"
 
 
 def _cell(text: str) -> str:

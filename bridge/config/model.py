@@ -14,6 +14,7 @@ from bridge.config.sections.ros1 import Ros1Section
 from bridge.config.sections.ros2 import Ros2Section
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import Section
+from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
 
 
@@ -70,6 +71,7 @@ class Config(Section):
     zenoh: ZenohSection = Field(
         default_factory=ZenohSection, description="The other key dialects in use on zenoh networks."
     )
+    yarp: YarpSection = Field(default_factory=YarpSection, description="The YARP side.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
     routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
     limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")

@@ -1,0 +1,196 @@
+"""The section ``yarp``: the YARP network, and what its ports carry."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from bridge.config.sections.section import Enabled, Section
+from bridge.config.sections.values import ROS2_NAME
+
+ProfileName = Literal["yarp3", "yarp4"]
+
+_PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
+_SCHEME = re.compile(r"/[^\s\"'*()\[\]]*\{topic\}[^\s\"'*()\[\]{}]*")
+_ADDRESS = re.compile(r"[A-Za-z0-9_.-]+:[0-9]{1,5}|\[[0-9a-fA-F:]+\]:[0-9]{1,5}")
+_TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+_ENTRY = re.compile(r"(deg\()?[A-Za-z]\w*(\.[A-Za-z]\w*)*(\[\d{1,9}\])?(?(1)\))|'[^']*'", re.ASCII)
+
+
+class Topic(Section):
+    """One rule: what the ports of some topics carry, or which port of a YARP program is a topic.
+
+    Without `port` it is about the topics' own ports, and the first rule whose `topic` matches counts; where it gives a
+    `type`, the input port is there even while nobody else has the topic. With `port` it is about that port alone,
+    wherever it lives: the connection is made, and made again whenever the port returns.
+    """
+
+    topic: str = Field(description="The topic, for example `/scan`; without `port` a glob too: `/camera/**`.")
+    port: str | None = Field(
+        default=None, description="A port of a YARP program, for example `/laser:o`, that is to be connected."
+    )
+    type: str | None = Field(
+        default=None, description="The message type, spelled as in ROS 2; a port that brings messages needs it."
+    )
+    direction: Literal["in", "out", "both"] = Field(
+        default="both",
+        description="`in`: from YARP, `out`: to YARP. With `port`, one of them: whether it writes or reads.",
+    )
+    as_: Literal["bottle", "natural", "fields"] | None = Field(
+        default=None,
+        alias="as",
+        description="What the port carries. `bottle`: the nested lists of YARP's own converter of ROS messages;"
+        " `natural`: the YARP type that says the same, where there is one; `fields`: the Bottle of `fields`."
+        " Default `yarp.as`, with `fields` those.",
+    )
+    fields: tuple[int | float | str, ...] = Field(
+        default=(),
+        description="The values of a short Bottle: `linear.x`, `deg(angular.z)` for degrees there, `position[0]`, or a"
+        " number or a text in single quotes that always stands there. Example: `[linear.x, linear.y, angular.z]`.",
+    )
+    carrier: str | None = Field(default=None, description="With `port`: how it is connected, for example `fast_tcp`.")
+    profile: ProfileName | None = Field(default=None, description="Whose bytes the port speaks; default `profile`.")
+    latched: bool = Field(default=False, description="Keep the last message from YARP for late joiners.")
+    frame: str = Field(default="", description="Frame of messages whose YARP type has none.")
+    child_frame: str = Field(default="", description="The robot's frame in odometry; default `base_link`.")
+    joints: tuple[str, ...] = Field(default=(), description="Names of the joints of a vector of positions, in order.")
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    @property
+    def form(self) -> Literal["bottle", "natural", "fields"] | None:
+        """What the port carries, None where this does not say it."""
+        return "fields" if self.fields else self.as_
+
+    @property
+    def brings(self) -> bool:
+        """Whether messages come from YARP by this rule alone."""
+        return self.type is not None and self.direction != "out"
+
+    @field_validator("port")
+    @classmethod
+    def _port_is_one(cls, value: str | None) -> str | None:
+        if value is not None and not _PORT.fullmatch(value):
+            msg = f"{value!r} is no port name, as /laser:o"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("type")
+    @classmethod
+    def _type_is_spelled_as_in_ros2(cls, value: str | None) -> str | None:
+        if value is not None and not _TYPE.fullmatch(value):
+            msg = f"{value!r} is no message type as ROS 2 spells them, for example std_msgs/msg/String"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("fields")
+    @classmethod
+    def _fields_are_fields(cls, value: tuple[int | float | str, ...]) -> tuple[int | float | str, ...]:
+        for entry in value:
+            if isinstance(entry, bool) or (isinstance(entry, str) and not _ENTRY.fullmatch(entry)):
+                msg = f"{entry!r} is no field: write linear.x, deg(angular.z), position[0], a number, or 'a text'"
+                raise ValueError(msg)
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Topic:
+        plain = ROS2_NAME.fullmatch(self.topic) is not None
+        if not self.topic.startswith(("/", "**")):
+            msg = f"{self.topic!r} is no topic: names begin with a slash"
+        elif self.port is not None and not plain:
+            msg = f"{self.topic!r} is no topic name, and a port is one topic"
+        elif self.port is not None and self.direction == "both":
+            msg = f"say whether {self.port} brings messages (direction: in) or takes them (direction: out)"
+        elif self.port is not None and self.direction == "in" and self.type is None:
+            msg = f"a port does not tell its type: give the 'type' of what {self.port} brings"
+        elif self.port is None and self.type is not None and not plain:
+            msg = f"{self.topic!r} is no topic name; with a 'type' it is about one topic"
+        elif self.port is None and self.carrier is not None:
+            msg = "'carrier' is for a connection to a 'port'"
+        elif self.as_ == "fields" and not self.fields:
+            msg = "as: fields needs 'fields'"
+        elif self.fields and self.as_ not in (None, "fields"):
+            msg = f"has 'fields', and is not as: {self.as_}"
+        else:
+            return self
+        raise ValueError(msg)
+
+
+class YarpSection(Section):
+    """The YARP network: its name server, and what the ports of topics are called and carry."""
+
+    enabled: Enabled = Field(
+        default="auto",
+        description="`auto`: where a yarp.conf says which name server there is, or this section says something.",
+    )
+    nameserver: Literal["auto", "embedded", "site"] = Field(
+        default="auto",
+        description="`site`: the one that yarp.conf or `address` names; `embedded`: our own, in the worker; `auto`:"
+        " ours where the place is on this machine, or not said, and none answers there.",
+    )
+    address: str | None = Field(
+        default=None, description="Where the name server is, for example `robot:10000`; default what yarp.conf says."
+    )
+    namespace: str | None = Field(
+        default=None, description="The name server's port name; default $YARP_NAMESPACE or `/root`."
+    )
+    ip: str | None = Field(default=None, description="Address that our ports listen on and tell; default YARP_IP's.")
+    profile: ProfileName = Field(
+        default="yarp3",
+        description="Whose bytes are written, and read where they do not tell: `yarp3` for YARP 3, `yarp4` for 4.",
+    )
+    as_: Literal["bottle", "natural"] = Field(
+        default="bottle", alias="as", description="What ports carry where no rule of `topics` says it."
+    )
+    output: str = Field(
+        default="/midspan{topic}:o", description="Name of the port that writes a topic's messages to YARP programs."
+    )
+    input: str = Field(
+        default="/midspan{topic}:i", description="Name of the port by which YARP programs write to a topic."
+    )
+    poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the name server.")
+    topics: tuple[Topic, ...] = Field(default=(), description="What ports carry, and which ports are topics.")
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    @property
+    def configured(self) -> bool:
+        """Whether anything is said here."""
+        return self.model_copy(update={"enabled": "auto"}) != YarpSection()
+
+    @field_validator("address")
+    @classmethod
+    def _address_has_a_port(cls, value: str | None) -> str | None:
+        if value is not None and not _ADDRESS.fullmatch(value):
+            msg = f"{value!r} is no address with a port, for example 127.0.0.1:10000"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("namespace")
+    @classmethod
+    def _namespace_is_a_port(cls, value: str | None) -> str | None:
+        if value is not None and not _PORT.fullmatch(value):
+            msg = f"{value!r} is no port name, as /root"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("output", "input")
+    @classmethod
+    def _name_has_the_topic(cls, value: str) -> str:
+        if not _SCHEME.fullmatch(value):
+            msg = f"{value!r} is no scheme of port names: a slash first, and {{topic}} in it, as in /robot{{topic}}:o"
+            raise ValueError(msg)
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> YarpSection:
+        ports = [(topic.port, topic.topic) for topic in self.topics if topic.port is not None]
+        if self.output == self.input:
+            msg = "output and input are one name"
+        elif len(set(ports)) < len(ports):
+            msg = f"names the port {max(ports, key=ports.count)[0]} twice for one topic"
+        else:
+            return self
+        raise ValueError(msg)
