@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from yarp_compat.wire.decoder import Data, Decoder, array
-from yarp_compat.wire.encoder import Buffer, Encoder
+from yarp_compat.wire.encoder import Encoder
 from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 
 _ENCODER3 = Encoder(Profile.YARP3)
@@ -56,7 +57,8 @@ def decode(data: Data, profile: Profile | None = None) -> list[Any]:
     Raises:
         WireError: they are no Bottle of that profile.
     """
-    return _decoded(data, profile, _DECODER3, _DECODER4)
+    values: list[Any] = _decoded(data, profile, _DECODER3, _DECODER4)
+    return values
 
 
 def decode_arrays(data: Data, profile: Profile | None = None) -> Any:

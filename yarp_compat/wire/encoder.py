@@ -11,7 +11,7 @@ from yarp_compat.wire import tags
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
+from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, Vocab, Vocab64
 
 _TWO = Struct("<ii").pack
 _WORD = Struct("<i").pack
@@ -187,7 +187,14 @@ def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
     wrong = [key for key in value if not isinstance(key, str)]
     if wrong:
         raise WireError(f"the key {wrong[0]!r} of a dict is no str")
-    return [[key, *entry] if isinstance(entry := value[key], tuple) else [key, entry] for key in sorted(value)]
+    return [[key, *entry_values(value[key])] for key in sorted(value)]
+
+
+def entry_values(entry: Any) -> Sequence[Any]:
+    """The values after the key of a dict's entry."""
+    if isinstance(entry, Group):
+        return entries_of(entry)
+    return entry if isinstance(entry, tuple) else [entry]
 
 
 def plain(value: Any) -> Any:
@@ -198,6 +205,7 @@ def plain(value: Any) -> Any:
     """
     if hasattr(value, "dtype"):
         return value if value.ndim else _scalar(value)
+    kind: Any
     for kind in (Vocab64, Vocab, Int8, Int16, Int64, Float32, str, int, float, dict):
         if isinstance(value, kind):
             return kind(value)

@@ -185,7 +185,7 @@ def _printed(value: Any, depth: int) -> str:
     if kind is dict:
         return f"({_joined(entries_of(value), depth + 1)})"
     if kind is Float32:
-        return _print_float(_rounded(value))
+        return _print_float(rounded(value))
     if isinstance(value, int):
         return int.__repr__(value)
     made = plain(value)
@@ -197,8 +197,12 @@ def _print_float(value: float) -> str:
     return text if "." in text or "e" in text or "n" in text else text + ".0"
 
 
-def _rounded(value: float) -> float:
-    """A float as four bytes hold it."""
+def rounded(value: float) -> float:
+    """A float as four bytes hold it.
+
+    Raises:
+        WireError: it is too large for them.
+    """
     try:
         return float(struct.unpack("<f", struct.pack("<f", value))[0])
     except OverflowError:

@@ -20,10 +20,13 @@ are lists, written by their own type (unsigned ones with the tag of the signed t
 are). Bytes of a string that are no UTF-8 become surrogate escapes, and the same bytes again.
 
 A dict's entry is a list on the wire, the key before the values. One value stands for itself, any other number of them
-for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``.
+for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2)) (n 1))``. So is, to be written only,
+``{"n": 1, "GROUP": Group(a=1, b=2)}``.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 
 class Int8(int):
@@ -57,6 +60,10 @@ class Vocab(str):
     """
 
     __slots__ = ()
+
+
+class Group(dict[str, Any]):
+    """A dict whose entries are the values after its key in the dict around it."""
 
 
 class Vocab64(Vocab):

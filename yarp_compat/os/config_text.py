@@ -1,0 +1,234 @@
+"""YARP's configuration files (`yarp/os/Property.cpp`, "yarp_config_file" of its documentation).
+
+A line is a key and its values, ``key value ...`` or ``key = value``; brackets may go on over several lines. ``[GROUP]``
+begins a group, ``[LIST GROUP]`` besides adds its name to a list, ``[include "file.ini"]`` takes a file in, ``[include
+GROUP "file.ini"]`` as a group, ``[import context file.ini]`` from another context. ``//`` begins a comment, and so does
+``#`` after a space; ``$NAME``, ``${NAME}`` and ``$(NAME)`` stand for environment variables or keys.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from yarp_compat.wire.decoder import dict_of
+from yarp_compat.wire.encoder import entries_of, entry_values
+from yarp_compat.wire.text import from_text, is_complete, plain_text
+
+if TYPE_CHECKING:
+    from yarp_compat.os.searchable import Searchable
+
+log = logging.getLogger(__name__)
+
+DEEPEST = 32
+"""How deep files may include each other."""
+
+_VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
+
+Entries = dict[str, Any]
+
+
+def read_file(name: str, entries: Entries, env: Searchable | None, wipe: bool) -> bool:
+    """Take a file, or all files of a folder, into a dict of entries.
+
+    Returns:
+        False where there is none; then nothing changes.
+    """
+    return _File(env, [], 0).read(name, entries, wipe)
+
+
+def read_folder(name: str, section: str, entries: Entries, wipe: bool) -> bool:
+    """Take all ``.ini`` files of a folder; with a section, each as a group named like its file."""
+    if not section:
+        return read_file(name, entries, None, wipe)
+    files = _inis(Path(name))
+    if files is None:
+        log.error("cannot read the folder %s", name)
+        return False
+    if wipe:
+        entries.clear()
+    read("".join(f'[include {section} "{file}" "{file}"]\n' for file in files), entries, None)
+    return True
+
+
+def read(text: str, entries: Entries, env: Searchable | None) -> None:
+    """Take a file's text into a dict of entries."""
+    _File(env, [], 0).take(text, entries)
+
+
+class _File:
+    """One file, with what it may look up and where it may look for others."""
+
+    def __init__(self, env: Searchable | None, folders: list[str], depth: int) -> None:
+        self._env = env
+        self._depth = depth
+        self._folders = folders
+        if env is not None and not folders and (path := env.find("CONFIG_PATH").toString()):
+            self._folders = path.split(";")
+
+    def read(self, name: str, entries: Entries, wipe: bool) -> bool:
+        """Take a file or folder by its name."""
+        if self._depth > DEEPEST:
+            log.error("%s is not read: files include each other more than %d deep", name, DEEPEST)
+            return False
+        for folder in ("", *self._folders):
+            path = Path(folder, name)
+            text = _text(path)
+            if text is not None:
+                if wipe:
+                    entries.clear()
+                _File(self._env, [*self._folders, str(path.parent)], self._depth + 1).take(text, entries)
+                return True
+        log.error("cannot read the configuration file %s", name)
+        return False
+
+    def take(self, text: str, entries: Entries) -> None:
+        """Take all lines."""
+        group = ""
+        content: list[Any] = []
+        for line in _lines(text):
+            buf = self._expanded(_uncommented(line), entries)
+            if buf.startswith("[") and "]" in buf:
+                _close(group, content, entries)
+                group, content = self._header(buf[1 : buf.index("]")], entries), []
+                content = list(entry_values(entries.get(group, ())))
+                continue
+            values = from_text(buf)
+            if len(values) > 1 and values[1] == "=":
+                del values[1]
+            if values and group:
+                content.append(values)
+            elif values:
+                entries.update(dict_of([values]))
+        _close(group, content, entries)
+
+    def _header(self, header: str, entries: Entries) -> str:
+        """What stands in brackets: the name of the group that begins, or empty."""
+        words = [plain_text(value) for value in from_text(header)] if " " in header else []
+        if len(words) > 1 and words[0] == "include":
+            self._include(words[1:], entries)
+            return ""
+        if len(words) > 2 and words[0] == "import":
+            self._import(words[1], words[2], entries)
+            return ""
+        if len(words) == 2:
+            _list_name(words[0], words[1], entries)
+            return words[1]
+        return header
+
+    def _include(self, words: list[str], entries: Entries) -> None:
+        """Take another file: into all, or into a group, whose name may be put into a list."""
+        if len(words) == 1:
+            self.read(words[0], entries, wipe=False)
+            return
+        *listed, group, name = words
+        if len(listed) > 1:
+            log.error("[include %s] has too many words", " ".join(words))
+            return
+        if listed:
+            _list_name(listed[0], group, entries)
+        inner = dict_of(list(entry_values(entries.get(group, ()))))
+        self.read(name, inner, wipe=False)
+        if inner:
+            entries.update(dict_of([[group, *entries_of(inner)]]))
+
+    def _import(self, context: str, name: str, entries: Entries) -> None:
+        """Take a file of another context."""
+        from yarp_compat.os.resource_finder import ResourceFinder
+
+        finder = ResourceFinder()
+        finder.setDefaultContext(context)
+        finder.setDefaultConfigFile(name)
+        finder.configure([])
+        file = finder.findFile(name)
+        if file:
+            self.read(file, entries, wipe=False)
+        else:
+            log.warning("cannot import %s from the context %s", name, context)
+
+    def _expanded(self, line: str, entries: Entries) -> str:
+        """The line with variables replaced."""
+        if "$" not in line:
+            return line
+        out: list[str] = []
+        at = 0
+        for found in _VARIABLE.finditer(line):
+            if found[1] is not None or found.start() < at:
+                continue
+            end = found.end()
+            if found[2] and line[end : end + 1] in (")", "}"):
+                end += 1
+            out += (line[at : found.start()], self._variable(found[3], entries).replace("\\", "\\\\"))
+            at = end
+        return "".join([*out, line[at:]])
+
+    def _variable(self, name: str, entries: Entries) -> str:
+        if text := os.environ.get(name, ""):
+            return text
+        if self._env is not None and (text := self._env.find(name).toString()):
+            return text
+        values = entry_values(entries.get(name, ()))
+        return plain_text(values[0]) if values else "1" if name == "__YARP__" else ""
+
+
+def _close(group: str, content: list[Any], entries: Entries) -> None:
+    if group:
+        entries[group] = content[0] if len(content) == 1 else tuple(content)
+
+
+def _list_name(key: str, name: str, entries: Entries) -> None:
+    """Add a group's name to a list of names."""
+    entries.update(dict_of([[key, *entry_values(entries.get(key, ())), name]]))
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Lines; those with open brackets or quotes go on."""
+    pending = ""
+    for line in text.split("\n"):
+        pending += line
+        if is_complete(pending):
+            yield pending
+            pending = ""
+    if pending:
+        yield pending
+
+
+def _uncommented(line: str) -> str:
+    """The line without a comment."""
+    if "//" not in line and "#" not in line:
+        return line
+    quoted = False
+    before = " "
+    for at, char in enumerate(line):
+        if char == '"':
+            quoted = not quoted
+        elif not quoted:
+            if char == "/" and before == "/":
+                return line[: at - 1]
+            if char == "#" and before in " \t":
+                return line[: max(at - 1, 0)]
+        before = '"' if quoted else char
+    return line
+
+
+def _text(path: Path) -> str | None:
+    """A file's text, or that of all files in a folder, one group of the next ended by ``[]``."""
+    files = _inis(path)
+    try:
+        if files is None:
+            return path.read_text(errors="surrogateescape")
+        return "".join(file.read_text(errors="surrogateescape") + "\n[]\n" for file in files)
+    except (OSError, ValueError):
+        return None
+
+
+def _inis(path: Path) -> list[Path] | None:
+    """The configuration files of a folder; None where it is none."""
+    try:
+        return sorted(file for file in path.iterdir() if file.name.endswith(".ini")) if path.is_dir() else None
+    except (OSError, ValueError):
+        return None
