@@ -337,7 +337,8 @@ def _parsed(source: Reader) -> tuple[int, int, int, int, memoryview]:
     at = source.at
     count = source.begin()
     names, word, named, code, listed, numbers, depth, size, quantum, width, height, blob, length = source.raw(_HEADER)
-    if (count, names, word, named, listed, numbers, blob) != (4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
+    told = (source.unit, count, names, word, named, listed, numbers, blob)
+    if told != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
         raise WireError(f"what begins at byte {at} is no image")
     if min(size, quantum, width, height) < 0 or size != length:
         raise WireError(f"an image of {width} x {height} pixels in rows of {quantum} and {size} or {length} bytes")

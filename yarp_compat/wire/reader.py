@@ -60,6 +60,11 @@ class Reader:
         return self._left
 
     @property
+    def unit(self) -> int:
+        """The tag of all elements of the list, 0 where each has its own."""
+        return self._code
+
+    @property
     def pending(self) -> int:
         """Bytes left."""
         return len(self.data) - self.at
