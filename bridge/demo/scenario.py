@@ -24,6 +24,9 @@ START_SECONDS = 20.0
 SHOW_SECONDS = 20.0
 """How long a run lasts at least, so that a person sees the table move."""
 
+LATE_SECONDS = 5.0
+"""How long what was said before is waited for by each one that joins late."""
+
 CROSS_SECONDS = 10.0
 """How long what has not crossed is waited for in the end."""
 
@@ -86,7 +89,7 @@ class Demo:
         self._start()
         self._wait_until_joined()
         for program in (ROS2, ZENOH):
-            self._children[program].ask("join_late")
+            self._join_late(program)
         self._drive(ROS2, 0.3, 0.0, 2.5)
         self._drive(ZENOH, 0.0, 0.8, 2.0)
         end = time.monotonic() + CROSS_SECONDS
@@ -144,6 +147,19 @@ class Demo:
             if all(_heard_anything(self._children[program].report) for program in (ROS2, ZENOH)):
                 return
             self._wait(0.2, "waiting for the first messages to cross")
+
+    def _join_late(self, program: str) -> None:
+        """Have a program listen to what was said long ago, and wait a moment for that.
+
+        zenoh-ros2-sdk asks once for what is kept, so it comes second: by then the robot's words are on the hub.
+        """
+        child, end = self._children[program], time.monotonic() + LATE_SECONDS
+        child.ask("join_late")
+        while time.monotonic() < end:
+            heard = child.report.get("heard", {})
+            if all(heard.get(topic, {}).get("count") for topic in (topics.MAP, topics.TF_STATIC)):
+                return
+            self._wait(0.1, f"{program} joins late")
 
     def _drive(self, source: str, linear: float, angular: float, seconds: float) -> None:
         robot, driver = self._children[ROS1], self._children[source]
