@@ -1,7 +1,7 @@
-"""YARP ports against bare sockets that move the same bytes: round trips of RPC, and streams, over tcp and fast_tcp on loopback.
+"""YARP ports against bare sockets that move the same bytes: RPC and streams over tcp and fast_tcp on loopback.
 
-Two processes, nothing else between them. The bare sockets know how many bytes to expect and look at none; ours read what the messages
-say. Rounds of both take turns; each figure is the median of the rounds' medians.
+Two processes, nothing else between them. The bare sockets know how many bytes to expect and look at none; ours read
+what the messages say. Rounds of both take turns; each figure is the median of the rounds' medians.
 
     python -m benchmarks.yarp_ports [--json FILE] [--rounds N]
 """
@@ -50,7 +50,7 @@ _STREAMS = (
 )
 
 
-# -- the other process ----------------------------------------------------------------------------------------------------
+# -- the other process ------------------------------------------------------------------------------------------------
 
 
 def _serve_port() -> None:
@@ -97,7 +97,7 @@ def _process(role: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
             process.stdin.close()
 
 
-# -- this process -----------------------------------------------------------------------------------------------------------
+# -- this process -----------------------------------------------------------------------------------------------------
 
 
 class Ours:

@@ -81,11 +81,8 @@ def _del(port: PortCore, words: Sequence[Any]) -> list[Any]:
     name = _word(words, 1)
     out, told_out = port.remove_output(name)
     into, told_in = port.remove_input(name)
-    if out == into:
-        told = f"{told_out}\r\n{told_in}\r\n"
-    else:
-        told = f"{told_out if out else told_in}\r\n"
-    return [0 if out or into else -1, told]
+    told = [told_out, told_in] if out == into else [told_out if out else told_in]
+    return [0 if out or into else -1, "".join(f"{line}\r\n" for line in told)]
 
 
 def _list(port: PortCore, words: Sequence[Any]) -> list[Any]:
@@ -155,19 +152,20 @@ def _about(port: PortCore) -> list[Any]:
         "arguments": " ".join(arguments), "name": os.path.basename(program),  # noqa: PTH119  # a program's name
         "pid": os.getpid(), "policy": 0, "priority": 0,
     }  # fmt: skip
-    kind = {
-        "is_input": int(port.is_input), "is_output": int(port.is_output), "is_rpc": int(port.rpc), "type": port.type_name,
-    }  # fmt: skip
+    kind = {"is_input": int(port.is_input), "is_output": int(port.is_output), "is_rpc": int(port.rpc)}
     return [
         ["sched", {"policy": 0, "priority": 0, "tid": threading.get_native_id()}],
         ["process", process],
         ["platform", {"hostname": port.contact.host, "os": platform.system()}],
-        ["port", kind],
+        ["port", {**kind, "type": port.type_name}],
     ]
 
 
 def _prop_set(port: PortCore, key: str, words: Sequence[Any]) -> list[Any]:
-    """Keep a property. Priorities of processes and packets (the words behind a port's name) are accepted and not applied."""
+    """Keep a property.
+
+    Priorities of processes and packets (the words behind a port's name) are accepted and not applied.
+    """
     if not key or len(words) < 4 or (key not in port.properties and len(port.properties) >= MOST_PROPERTIES):
         return [_FAIL]
     if key.startswith("/"):

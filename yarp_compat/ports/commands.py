@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 
 def obey(port: PortCore, word: PortCommand) -> tuple[str, ...]:
-    """Obey a command; the lines that text carriers answer. ``i`` (end the process) is obeyed by no port that faces a network."""
+    """Obey a command.
+
+    The lines that text carriers answer. ``i`` (end the process) is obeyed by no port that faces a network.
+    """
     if word.key == "/":
         return (port.add_output(word.text)[1],)
     if word.key == "!":

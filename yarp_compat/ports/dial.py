@@ -31,16 +31,21 @@ def dial(
         if carrier is carriers.TEXT_ACK:
             _line(sock, end)
         elif not carrier.text:
-            number = framed(_exactly(sock, 8, end))
-            if number is None:
-                msg = f"{contact.name or contact.uri} does not answer as a YARP port"
-                raise ConnectionRefusedError(msg)
+            number = _number(_exactly(sock, 8, end))
             if carrier is carriers.UDP:
                 return _datagrams(sock, contact.host, number)
     except BaseException:
         sock.close()
         raise
     return sock
+
+
+def _number(answer: bytes) -> int:
+    found = framed(answer)
+    if found is None:
+        msg = "what listens there does not answer as a YARP port"
+        raise ConnectionRefusedError(msg)
+    return found
 
 
 def say_farewell(contact: Contact, sender: str, seconds: float = 1.0) -> None:

@@ -33,7 +33,8 @@ class Listener:
     Args:
         loop: the shared thread.
         sock: bound, not yet listening.
-        opened: takes a connection with its introduction, what came behind that, and the peer's address. Called on the shared thread.
+        opened: takes a connection with its introduction, what came behind that, and the peer's address. Called on the
+            shared thread.
         refused: told of a connection that introduced itself wrongly, with the peer's address.
     """
 

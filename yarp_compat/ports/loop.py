@@ -1,4 +1,7 @@
-"""The thread that all ports of a process share: it accepts, does handshakes, and sends what a slow peer did not take at once."""
+"""The thread that all ports of a process share.
+
+It accepts, does handshakes, and sends what a slow peer did not take at once.
+"""
 
 from __future__ import annotations
 

@@ -71,7 +71,10 @@ class Message:
                 self._later.set()
 
     def drop(self) -> None:
-        """End the connection, when it has been answered; before the port's ``on_message`` returns, or before the reply."""
+        """End the connection, when it has been answered.
+
+        Before the port's ``on_message`` returns, or before the reply.
+        """
         self.is_last = True
 
     def later(self) -> None:

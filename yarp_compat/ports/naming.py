@@ -11,7 +11,10 @@ from yarp_compat.wire.contact import Contact
 
 
 class LocalNaming:
-    """Knows the ports of one process: no socket, and nothing outlives the process. For tests, and for ports that nobody else is to find."""
+    """Knows the ports of one process.
+
+    No socket, and nothing outlives the process. For tests, and for ports that nobody else is to find.
+    """
 
     def __init__(self, host: str = "127.0.0.1") -> None:
         self._host = host

@@ -1,4 +1,4 @@
-"""An output connection: sends at once where the peer takes it at once, else by the shared thread from a bounded queue."""
+"""An output connection: sends at once what the peer takes at once, and the rest on the shared thread."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from yarp_compat.ports.counters import Counters
+from yarp_compat.ports.replies import ReplyEnd, ReplyWatch
 from yarp_compat.ports.sending import send_some, sent
 from yarp_compat.wire import carriers, http, message
 from yarp_compat.wire.carriers import Carrier, framed
 from yarp_compat.wire.contact import Route
-from yarp_compat.wire.errors import Incomplete, WireError
+from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
-from yarp_compat.wire.reply import ReplyReader, plain_end
 
 if TYPE_CHECKING:
     from yarp_compat.ports.loop import Loop
@@ -30,9 +30,6 @@ _FAREWELL = 0.5
 """Seconds that a peer has to acknowledge the end of a connection."""
 _CHUNK = 1 << 16
 _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
-
-ReplyEnd = Callable[[Buffer], int]
-"""Where a reply ends that stands at the beginning of these bytes; raises Incomplete when more must come."""
 
 
 class Item:
@@ -50,7 +47,8 @@ class Item:
 class Output:
     """One output connection on a stream of bytes.
 
-    At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while messages wait.
+    At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while
+    messages wait. The driver alone touches ``_current``, ``_due``, ``_came`` and the socket.
 
     Args:
         sock: connected and introduced.
@@ -83,7 +81,7 @@ class Output:
         self._pending_bytes = 0
         self._driven = False
         self._current: Item | None = None
-        self._due = False
+        self._due = False  # an acknowledgement
         self._came = b""
         sock.setblocking(False)
         self._sock = sock
@@ -93,44 +91,43 @@ class Output:
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
-    def begin(self, buffers: Sequence[Buffer], *, strict: bool, wait: bool) -> Item | None:
+    def begin(self, buffers: list[Buffer], *, strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows.
 
         Args:
             buffers: all of its bytes; kept uncopied while ``wait``.
             strict: queue it behind others, else it takes the place of what waits.
-            wait: the caller will call :meth:`finish`.
+            wait: the caller will call :meth:`finish` where the message is not done.
 
         Returns:
             The message, or None where it was dropped.
         """
-        item = Item(list(buffers), wait)
+        item = Item(buffers, wait)
         with self._changed:
             if self.closed:
                 return None
             if self._driven:
                 return item if self._queue(item, strict) else None
             self._driven = True
-        item.ours = wait
+        self._current = item
         try:
-            if (not self._due or self._take_ack(self._sock)) and self._send(item, self._sock):
-                if not wait:
-                    item.done = True
-                    self._current = None
-                    self._release()
-                return item
-        except OSError as error:
-            self._fail(error)
+            sent_all = (not self._due or self._take_ack(self._sock)) and self._send(item, self._sock)
+        except OSError:
+            self._fail()
             return None
-        if self._current is None:
-            self._current = item
-        if not wait:
+        if sent_all and not (wait and self._due):
+            self._settle(item)
+        elif not wait:
             self._hand_over()
         return item
 
     def finish(self, item: Item, deadline: float | None = None) -> bool:
-        """Wait until a message was sent and, where the carrier does that, acknowledged; False where it was not by the deadline."""
-        if not item.ours or item is not self._current:
+        """Wait until a message was sent and, where the carrier does that, acknowledged.
+
+        Returns:
+            False where it was not by the deadline, or the peer is gone.
+        """
+        if item is not self._current or not item.ours:
             with self._changed:
                 self._changed.wait_for(lambda: item.done or self.closed, _left(deadline))
             return item.done
@@ -140,37 +137,32 @@ class Output:
                     self._dispose()
                     return False
                 if deadline is not None and time.monotonic() > deadline:
+                    item.ours = False
                     self._hand_over()
                     return False
-        except OSError as error:
-            self._fail(error)
+        except OSError:
+            self._fail()
             return False
-        item.done = True
-        self._current = None
-        self._release()
+        except BaseException:  # an interrupt from the keyboard
+            item.ours = False
+            self._hand_over()
+            raise
+        self._settle(item)
         return True
 
     def _advance(self, item: Item) -> bool:
         """Wait for a step of a message; whether that was its last."""
-        try:
-            if item.buffers:
-                if self._due and not self._take_ack(self._patient):
-                    return False
-                self._due = False
-                if not self._send(item, self._patient):
-                    return False
-            return not self._due or self._take_ack(self._patient)
-        except TimeoutError:
+        if item.buffers and ((self._due and not self._take_ack(self._patient)) or not self._send(item, self._patient)):
             return False
+        return not self._due or self._take_ack(self._patient)
 
     def _send(self, item: Item, sock: socket.socket) -> bool:
-        """Send what the socket takes; whether that was all."""
-        self._current = item
+        """Send what the socket takes of a message; whether that was all."""
         buffers = item.buffers
         while buffers:
             try:
                 count = send_some(sock, buffers)
-            except BlockingIOError:
+            except (BlockingIOError, TimeoutError):
                 item.buffers = buffers
                 return False
             buffers = sent(buffers, count) if len(buffers) > 1 or count < len(buffers[0]) else []
@@ -182,8 +174,7 @@ class Output:
     def _take_ack(self, sock: socket.socket) -> bool:
         """Take the acknowledgement that is due; False where it has not come."""
         while True:
-            end = _ack_end(self._came, self.carrier)
-            if end:
+            if self._came and (end := _ack_end(self._came, self.carrier)):
                 self._came = self._came[end:]
                 self._due = False
                 return True
@@ -192,71 +183,13 @@ class Output:
             except (BlockingIOError, TimeoutError):
                 return False
             if not came:
-                msg = "the peer closed the connection"
-                raise ConnectionResetError(msg)
+                raise ConnectionResetError(self._gone())
             self._came += came
 
-    # -- the queue ----------------------------------------------------------------------------------------------------
-
-    def _queue(self, item: Item, strict: bool) -> bool:
-        """Let a message wait for its turn; with the lock held."""
-        if not strict and not item.ours:
-            self.counters.dropped["replaced"] += len(self._pending)
-            self._pending.clear()
-            self._pending_bytes = 0
-        size = message.size(item.buffers)
-        if self._pending and self._pending_bytes + size > self._limit:
-            self.counters.dropped["full"] += 1
-            return False
-        if not item.ours:
-            item.buffers = [b"".join(item.buffers)]
-        self._pending.append(item)
-        self._pending_bytes += size
-        return True
-
-    def _hand_over(self) -> None:
-        """Let the shared thread go on."""
-        if self._current is not None and self._current.buffers:
-            self._current.buffers = [b"".join(self._current.buffers)]  # its owner may change them now
-        self._loop.call(self._drive)
-
-    def _drive(self, _: int = 0) -> None:
-        """Go on with what waits, on the shared thread."""
-        try:
-            events = self._step()
-        except OSError as error:
-            self._loop.ignore(self._sock)
-            self._fail(error)
-            return
-        if self.closed:
-            self._loop.ignore(self._sock)
-            self._dispose()
-        elif events:
-            self._loop.watch(self._sock, events, self._drive)
-        else:
-            self._loop.ignore(self._sock)
-            self._release()
-
-    def _step(self) -> int:
-        while not self.closed:
-            if self._due and not self._take_ack(self._sock):
-                return selectors.EVENT_READ
-            if self._current is not None and self._current.buffers and not self._send(self._current, self._sock):
-                return selectors.EVENT_WRITE
-            if self._due:
-                continue
-            with self._changed:
-                if self._current is not None:
-                    self._current.done = True
-                    self._changed.notify_all()
-                self._current = self._pending.popleft() if self._pending else None
-                if self._current is None:
-                    return 0
-                self._pending_bytes -= message.size(self._current.buffers)
-        return 0
-
-    def _release(self) -> None:
-        """Drive no longer: let the shared thread go on with what came meanwhile, if anything did."""
+    def _settle(self, item: Item) -> None:
+        """A message is done; go on with those that wait, or be free."""
+        item.done = True
+        self._current = None
         with self._changed:
             if not self._pending and not self.closed:
                 self._driven = False
@@ -267,22 +200,86 @@ class Output:
         else:
             self._loop.call(self._drive)
 
+    # -- the queue ----------------------------------------------------------------------------------------------------
+
+    def _queue(self, item: Item, strict: bool) -> bool:
+        """Let a message wait for its turn; with the lock held."""
+        if not strict:
+            self.counters.dropped["replaced"] += len(self._pending)
+            self._pending.clear()
+            self._pending_bytes = 0
+        size = message.size(item.buffers)
+        if self._pending and self._pending_bytes + size > self._limit:
+            self.counters.dropped["full"] += 1
+            return False
+        if not item.ours:
+            item.buffers = [b"".join(item.buffers)]  # its owner may change them
+        item.ours = False
+        self._pending.append(item)
+        self._pending_bytes += size
+        return True
+
+    def _hand_over(self) -> None:
+        """Let the shared thread go on."""
+        if self._current is not None and self._current.buffers:
+            self._current.buffers = [b"".join(self._current.buffers)]
+        self._loop.call(self._drive)
+
+    def _drive(self, _: int = 0) -> None:
+        """Go on with what waits, on the shared thread."""
+        try:
+            events = self._step()
+        except OSError:
+            self._loop.ignore(self._sock)
+            self._fail()
+            return
+        if events and not self.closed:
+            self._loop.watch(self._sock, events, self._drive)
+            return
+        self._loop.ignore(self._sock)
+        if self.closed:
+            self._dispose()
+
+    def _step(self) -> int:
+        """What to wait for, or 0 where nothing is left, and the connection is free."""
+        while not self.closed:
+            item = self._current
+            if self._due and not self._take_ack(self._sock):
+                return selectors.EVENT_READ
+            if item is not None and item.buffers and not self._send(item, self._sock):
+                return selectors.EVENT_WRITE
+            if self._due:
+                continue
+            with self._changed:
+                if item is not None:
+                    item.done = True
+                self._current = self._pending.popleft() if self._pending else None
+                self._driven = self._current is not None
+                self._changed.notify_all()
+                if self._current is None:
+                    return 0
+                self._pending_bytes -= message.size(self._current.buffers)
+        return 0
+
     @property
     def busy(self) -> bool:
-        """Whether a message is still on its way out."""
+        """Whether a message is still on its way out, or not acknowledged."""
         return self._driven or self._due
 
     def wait_idle(self, deadline: float | None) -> bool:
-        """Wait until nothing is on its way any more, acknowledgements included; False where something still is by the deadline."""
+        """Wait until nothing is on its way any more, acknowledgements included.
+
+        Returns:
+            False where something still is by the deadline.
+        """
         with self._changed:
             if not self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline)):
                 return False
             if self.closed or not self._due:
                 return True
             self._driven = True
-        item = Item([], ours=True)
-        self._current = item
-        return self.finish(item, deadline)
+        self._current = Item([], ours=True)
+        return self.finish(self._current, deadline)
 
     # -- requests -----------------------------------------------------------------------------------------------------
 
@@ -303,89 +300,63 @@ class Output:
             if self._driven:
                 self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline))
             if self.closed:
-                msg = f"not connected to {self.route.target}"
-                raise ConnectionResetError(msg)
+                raise ConnectionResetError(self._gone())
             if self._driven:
                 msg = f"{self.route.target} is still busy with another message"
                 raise TimeoutError(msg)
             self._driven = True
-        item = Item(buffers, True)
+        item = self._current = Item(buffers, ours=True)
         try:
-            while (self._due and not self._take_ack(self._patient)) or not self._send_patiently(item):
+            while (self._due and not self._take_ack(self._patient)) or not self._send(item, self._patient):
                 self._check_time(deadline)
-            self._due = False
-            reply = self._reply(parse or (_line_end if self.carrier.text else None), deadline)
-            if self.carrier.ack:
-                self._due = True
-                while not self._take_ack(self._patient):
-                    self._check_time(deadline)
-        except (OSError, WireError) as error:
-            self._fail(error)
+            reply = self._reply(ReplyWatch(parse, self.carrier, self.profile, self._limit), deadline)
+            while self._due and not self._take_ack(self._patient):
+                self._check_time(deadline)
+        except BaseException:
+            self._fail()
             raise
-        self._current = None
         self.counters.received += 1
-        self._release()
+        self._settle(item)
         return reply
-
-    def _send_patiently(self, item: Item) -> bool:
-        try:
-            return self._send(item, self._patient)
-        except TimeoutError:
-            return False
 
     def _check_time(self, deadline: float | None) -> None:
         if self.closed:
-            msg = f"the connection to {self.route.target} was closed"
-            raise ConnectionAbortedError(msg)
+            raise ConnectionAbortedError(self._gone())
         if deadline is not None and time.monotonic() > deadline:
             msg = f"no reply from {self.route.target} in time"
             raise TimeoutError(msg)
 
-    def _reply(self, parse: ReplyEnd | None, deadline: float | None) -> bytes:
+    def _reply(self, watch: ReplyWatch, deadline: float | None) -> bytes:
         came: bytes | bytearray = self._came
-        reader: ReplyReader | None = None
-        looked = 0
-        while True:
-            if came and len(came) >= looked:
-                end = plain_end(came, self.profile) if parse is None else 0
-                try:
-                    if not 0 < end <= len(came):
-                        if parse is None:
-                            reader = reader or ReplyReader(self.profile, acked=self.carrier.ack, limit=self._limit)
-                            parse = reader.end
-                        end = parse(came)
-                except Incomplete:
-                    # a reader of one's own begins anew each time: a long reply is looked at again when it has grown by half
-                    looked = len(came) + len(came) // 2 if reader is None and len(came) > _CHUNK else 0
-                else:
-                    if reader is not None:
-                        self.profile = reader.profile
-                    self._came = bytes(came[end:])
-                    return bytes(came[:end])
+        while not (end := watch.end(came)):
             if len(came) > self._limit + _CHUNK:
                 msg = f"a reply from {self.route.target} is larger than {self._limit} bytes"
                 raise WireError(msg)
             try:
                 more = self._patient.recv(_CHUNK if len(came) < _CHUNK else 1 << 20)
             except TimeoutError:
+                watch.pause()
                 self._check_time(deadline)
-                looked = 0  # it pauses: perhaps it is all there
                 continue
             if not more:
-                msg = f"{self.route.target} closed the connection"
-                raise ConnectionResetError(msg)
-            if deadline is not None and came:
-                self._check_time(deadline)
+                raise ConnectionResetError(self._gone())
             if came:
+                self._check_time(deadline)
                 came = came if isinstance(came, bytearray) else bytearray(came)
                 came += more
             else:
                 came = more
+        self.profile = watch.profile
+        self._came = bytes(came[end:])
+        return bytes(came[:end])
+
+    def _gone(self) -> str:
+        return f"the connection from {self.route.source} to {self.route.target} is closed"
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """Look whether the peer is still there; on the shared thread, now and then, as nothing is read from an idle connection."""
+        """Look whether the peer is still there; on the shared thread, as nothing is read from an idle connection."""
         with self._changed:
             if self._driven or self.closed:
                 return
@@ -394,14 +365,14 @@ class Output:
             if self._due:
                 self._take_ack(self._sock)
             elif not self._sock.recv(_CHUNK):
-                msg = "the peer closed the connection"
-                raise ConnectionResetError(msg)
+                self._fail()
+                return
         except BlockingIOError:
             pass
-        except OSError as error:
-            self._fail(error)
+        except OSError:
+            self._fail()
             return
-        self._release()
+        self._settle(Item([], ours=False))
 
     def close(self) -> None:
         """Say goodbye where the connection is free, and close it."""
@@ -419,10 +390,9 @@ class Output:
             return
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)  # its driver wakes up, and closes it
-        self._loop.call(self._dispose_if_watched)
 
     def abandon(self) -> None:
-        """Let go of the socket, and say nothing."""
+        """In a child process of fork: let go of the socket, and say nothing."""
         self._changed = threading.Condition()  # another thread may have had it locked in the parent process
         self.closed = True
         self._dispose()
@@ -432,14 +402,9 @@ class Output:
             return
         self._sock.send(_FAREWELLS.get(self.carrier, message.QUIT))
         if self.carrier.ack and not self._loop.is_own_thread:
-            self._due = True
             end = time.monotonic() + _FAREWELL
             while not self._take_ack(self._patient) and time.monotonic() < end:
                 pass
-
-    def _dispose_if_watched(self) -> None:
-        if self._loop.ignore(self._sock):
-            self._dispose()
 
     def _dispose(self) -> None:
         """Close the socket; only its driver does that."""
@@ -448,13 +413,11 @@ class Output:
             self._pending.clear()
             self._pending_bytes = 0
             self._changed.notify_all()
-        with contextlib.suppress(OSError):
-            self._patient.detach()
+        self._patient.detach()
         self._sock.close()
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self) -> None:
         """The peer is gone."""
-        del error
         with self._changed:
             told = self.closed
             self.closed = True
@@ -467,13 +430,6 @@ class Output:
 
 def _left(deadline: float | None) -> float | None:
     return None if deadline is None else max(0.0, deadline - time.monotonic())
-
-
-def _line_end(came: Buffer) -> int:
-    found = bytes(came).find(b"\n")
-    if found < 0:
-        raise Incomplete("a line ends early")
-    return found + 1
 
 
 def _ack_end(came: bytes, carrier: Carrier) -> int:

@@ -22,8 +22,9 @@ from yarp_compat.ports.lines import from_line
 from yarp_compat.ports.listener import Listener
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.outgoing import Content, Outgoing
-from yarp_compat.ports.output import Output, ReplyEnd
+from yarp_compat.ports.output import Item, Output
 from yarp_compat.ports.pages import PageInput
+from yarp_compat.ports.replies import ReplyEnd
 from yarp_compat.ports.textinputs import NameInput, TextInput
 from yarp_compat.wire import carriers, header, message
 from yarp_compat.wire.binary import decode, encode
@@ -54,7 +55,8 @@ class PortCore:
 
     Args:
         name: the port's name; "" or "..." lets the name server choose one.
-        on_message: takes each message; on the thread of its connection, which goes on with the next one afterwards. None:
+        on_message: takes each message; on the thread of its connection, which goes on with the next one afterwards.
+            None:
             messages are dropped, and those that want a reply get an empty one.
         naming: the name server.
         rpc: an RPC client or server: it has one output at most.
@@ -192,19 +194,23 @@ class PortCore:
     # -- writing ------------------------------------------------------------------------------------------------------
 
     def write(
-        self, payload: Content, envelope: str = "", *, strict: bool = False, wait: bool = False, timeout: float | None = None,
-        text: Callable[[], str] | None = None,
+        self, payload: Content, envelope: str = "", *, strict: bool = False, wait: bool = False, timeout: float | None
+        = None,
+        text: Callable[[], str] | None = None, chosen: Callable[[AnyOutput], bool] | None = None,
     ) -> int:  # fmt: skip
         """Send a message to all outputs.
 
         Args:
             payload: its bytes, in one or several buffers; or what makes them in the dialect of each output.
             envelope: sent with it.
-            strict: where an earlier message is still on its way to a peer, queue this one behind it (else it takes the place
+            strict: where an earlier message is still on its way to a peer, queue this one behind it (else it takes
+                the place
                 of what waits).
-            wait: return when all peers took it (and acknowledged it, where the carrier does that). Without it, never waits.
+            wait: return when all peers took it (and acknowledged it, where the carrier does that). Without it, never
+                waits.
             timeout: seconds to wait at most.
             text: makes the line for text carriers; by default the payload's own text.
+            chosen: which of the outputs get it; by default all.
 
         Returns:
             how many outputs took it.
@@ -215,21 +221,19 @@ class PortCore:
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
             return 0
-        outputs = self.connections.outputs
+        outputs = [output for output in self.connections.outputs if chosen is None or chosen(output)]
         if not outputs:
             return 0
         made = Outgoing(payload, envelope, "D", text)
+        written = [(output, made.buffers(output.carrier, output.profile or self.profile)) for output in outputs]
         self.counters.sent += 1
-        strict = strict or wait
-        begun = []
-        for output in outputs:
-            item = output.begin(made.buffers(output.carrier, output.profile or self.profile), strict=strict, wait=wait)
-            if item is not None:
-                begun.append((output, item))
+        begun: list[tuple[AnyOutput, Item | None]] = [
+            (output, output.begin(buffers, strict=strict or wait, wait=wait)) for output, buffers in written
+        ]
         if not wait:
-            return len(begun)
+            return sum(item is not None for _, item in begun)
         deadline = None if timeout is None else time.monotonic() + timeout
-        return sum(item.done or output.finish(item, deadline) for output, item in begun)
+        return sum(item is not None and (item.done or output.finish(item, deadline)) for output, item in begun)
 
     def request(
         self, payload: Content, envelope: str = "", *, timeout: float | None = None, parse: ReplyEnd | None = None
@@ -265,9 +269,12 @@ class PortCore:
         return any(output.busy for output in self.connections.outputs)
 
     def wait_writes(self, timeout: float | None = None) -> bool:
-        """Wait until all messages have been sent, and acknowledged where the carrier does that; False where not in time."""
+        """Wait until all messages have been sent, and acknowledged where the carrier does that.
+
+        False where not in time.
+        """
         deadline = None if timeout is None else time.monotonic() + timeout
-        return all([output.wait_idle(deadline) for output in self.connections.outputs])
+        return all(output.wait_idle(deadline) for output in self.connections.outputs)
 
     # -- connections --------------------------------------------------------------------------------------------------
 

@@ -21,7 +21,8 @@ _KEYS = {ord(k): k for k in "dDaq"}
 class Stream:
     """A connection's incoming bytes.
 
-    Payloads are ``bytes``, or for large ones a writable memoryview of memory that is used again only when nothing refers to it any more.
+    Payloads are ``bytes``, or for large ones a writable memoryview of memory that is used again only when nothing
+    refers to it any more.
     """
 
     def __init__(self, sock: socket.socket, already: bytes = b"", limit: int = message.DEFAULT_LIMIT) -> None:
@@ -35,7 +36,7 @@ class Stream:
         self._spare = bytearray()
 
     def message(self) -> tuple[str, str, Buffer] | None:
-        """Wait for a message: its key, its command's text where there is one, and its payload; None at the connection's end.
+        """Wait for a message: its key, its command's text if any, and its payload; None at the connection's end.
 
         Raises:
             WireError: for anything that is no message, and for one above the limit.

@@ -53,7 +53,10 @@ class TextInput(Input):
 
 
 class NameInput(Input):
-    """An input of name_ser: lines that begin with ``NAME_SERVER``. Without a hook for them, they are messages like others."""
+    """An input of name_ser.
+
+    Lines that begin with ``NAME_SERVER``. Without a hook for them, they are messages like others.
+    """
 
     def take(self) -> bool:
         """Answer lines until the end."""

@@ -38,7 +38,7 @@ class Carrier:
 
 
 def frame(value: int) -> bytes:
-    """The 8 bytes ``YA <int32> RP``, which open a connection, answer its opening, start a message and acknowledge it."""
+    """The 8 bytes ``YA <int32> RP``: they open a connection, answer its opening, begin a message, acknowledge it."""
     return _MAGIC.pack(b"YA", value, b"RP")
 
 
@@ -68,8 +68,10 @@ OUTPUTS = (TCP, FAST_TCP, UDP, TEXT, TEXT_ACK, LOCAL)
 """What an output connection can be made with."""
 
 _UNKNOWN_HERE = {1: "mcast", 14: "shmem"}
-_OTHERS = ("mcast", "shmem", "mjpeg", "xmlrpc", "human", "bayer", "rossrv", "tcpros", "mpi", "mpibcast", "unix_stream", "websocket",
-           "portmonitor", "priority", "depthimage", "depthimage2", "h264", "rtsp", "xmlrpc")  # fmt: skip
+_OTHERS = frozenset(
+    ["bayer", "depthimage", "depthimage2", "h264", "human", "mcast", "mjpeg", "mpi", "mpibcast", "portmonitor",
+     "priority", "rossrv", "rtsp", "shmem", "tcpros", "unix_stream", "websocket", "xmlrpc", "zfp"]
+)  # fmt: skip
 
 
 def parse(text: str) -> tuple[Carrier, str]:

@@ -1,7 +1,7 @@
 """The word to a port that every message begins with: data, an administrative message, a request to connect, and so on.
 
-In binary: int32 length of a text (with its NUL), ``~``, the key, 0, 1, and that text where there is one; a text's first character is then the
-key. As text: one line, whose first character is the key.
+In binary: int32 length of a text (with its NUL), ``~``, the key, 0, 1, and that text where there is one; a text's
+first character is then the key. As text: one line, whose first character is the key.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ class PortCommand:
     """One word to a port.
 
     Attributes:
-        key: its first character, which tells what it is: ``d``, ``D`` (data), ``a``, ``q``, ``*``, ``/``, ``!``, ``~``, ``r``, ``?``, ``i``.
+        key: its first character, which tells what it is: ``d``, ``D`` (data), ``a``, ``q``, ``*``, ``/``, ``!``,
+            ``~``, ``r``, ``?``, ``i``.
         text: all of it, where it is longer than its key.
     """
 

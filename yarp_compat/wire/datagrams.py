@@ -1,7 +1,8 @@
 """Messages in datagrams: each begins with its checksum and its number within the message.
 
-``uint32 zlib.crc32(all behind these four bytes and the number)``, ``int32 number`` (0, 1, 2, ... within one message), then a piece of the message. A number
-of -1 carries nothing. (``DgramTwoWayStream.cpp``; measured on udp and mcast of 4.0)
+``uint32 zlib.crc32(all behind these four bytes and the number)``, ``int32 number`` (0, 1, 2, ... within one message),
+then a piece of the message. A number of -1 carries nothing. (``DgramTwoWayStream.cpp``; measured on udp and mcast of
+4.0)
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def datagram(piece: bytes, number: int) -> bytes:
 class Assembler:
     """Puts messages together again.
 
-    Datagrams of a message must come in order; one that is lost, comes twice or late loses its message, and the next number 0 begins anew.
+    Datagrams of a message must come in order; one that is lost, comes twice or late loses its message, and the next
+    number 0 begins anew.
 
     Attributes:
         spoiled: datagrams with a wrong checksum.

@@ -53,7 +53,8 @@ def _split(qualifiers: str) -> list[str]:
 def parse_opening(data: bytes | bytearray) -> Opening | None:
     """Read an initiator's introduction.
 
-    The carriers ``http`` and ``name_ser`` have none beyond their first bytes: all of these belong to the request, and ``size`` is 0.
+    The carriers ``http`` and ``name_ser`` have none beyond their first bytes: all of these belong to the request, and
+    ``size`` is 0.
 
     Returns:
         None while bytes are missing.

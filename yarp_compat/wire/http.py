@@ -95,18 +95,29 @@ def response(body: bytes, mime: str = "text/html; charset=utf-8", status: str = 
     return head.encode("latin-1", errors="replace") + body
 
 
-STREAM_HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: text/plain; charset=utf-8\r\nTransfer-Encoding: chunked\r\nCache-Control: no-store\r\n\r\n"
+STREAM_HEAD = (
+    b"HTTP/1.1 200 OK\r\nContent-Type: text/plain; charset=utf-8\r\nTransfer-Encoding: chunked\r\n"
+    b"Cache-Control: no-store\r\n\r\n"
+)
 """Before the chunks of what a port writes."""
 STREAM_END = b"0\r\n\r\n"
 
 
+_LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
+
+
 def page(name: str, lines: Sequence[str]) -> bytes:
-    """A page about a port: links to what can be asked of it, a form to send it a message, and lines, those that name a port as links to that."""
+    """A page about a port.
+
+    Links to what can be asked of it, a form to send it a message, and lines, those that name a port as links to
+    that.
+    """
     body = "\n".join(_linked(line) for line in lines)
     told = html.escape(name)
+    links = "&nbsp;&nbsp;".join(f'(<a href="{path}">{what}</a>)' for path, what in _LINKS)
     return (
         f"<!DOCTYPE html><html><head><title>{told}</title></head><body bgcolor='#ffffcc'><h1>yarp port {told}</h1>\n"
-        '<p>(<a href="/">connections</a>)&nbsp;&nbsp;(<a href="/data=help">help</a>)&nbsp;&nbsp;(<a href="/r">read</a>)</p>\n'
+        f"<p>{links}</p>\n"
         '<form method="post" action="/form"><input type=text name=data><input type=submit value="send data"></form>\n'
         f"<pre>\n{body}\n</pre></body></html>\n"
     ).encode(errors="replace")
@@ -135,7 +146,7 @@ def _plain(value: Any) -> Any:
         if len(value) > 1 and all(isinstance(v, (list, tuple)) and len(v) == 2 for v in value):
             return {str(k): _plain(v) for k, v in value}
         return [_plain(v) for v in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):  # noqa: PLR0124
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
         return str(value)
     if isinstance(value, (bytes, bytearray)):
         return list(value)

@@ -1,7 +1,7 @@
 """One message on a tcp connection: its index, its command, its payload, and the acknowledgement.
 
-A message is ``YA 10 RP``, the number of blocks to the acceptor and back (1 byte each), 8 bytes of 0xff, an int32 length for each block
-(back: 0), then the blocks, which belong together.
+A message is ``YA 10 RP``, the number of blocks to the acceptor and back (1 byte each), 8 bytes of 0xff, an int32
+length for each block (back: 0), then the blocks, which belong together.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def body_size(index: Buffer, offset: int = 0, limit: int = DEFAULT_LIMIT) -> int
     """
     blocks = index[offset + 8]
     lengths = struct.unpack_from(f"<{blocks}i", index, offset + HEAD_SIZE)
-    total = sum(lengths)
+    total: int = sum(lengths)
     if lengths and min(lengths) < 0:
         msg = f"a message announces a block of {min(lengths)} bytes"
         raise WireError(msg)

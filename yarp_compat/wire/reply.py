@@ -72,11 +72,10 @@ class ReplyReader:
         for profile, end in ends.items():
             if self._acked and len(data) == end + ACKNOWLEDGED and _is_acknowledgement(data, end):
                 return self._decided((profile, end))
-        if missing is not None:
-            raise missing
-        if self._acked and len(data) < max(ends.values()) + ACKNOWLEDGED:
-            raise Incomplete("the acknowledgement is missing, which tells where the reply ends")
-        return self._decided((Profile.YARP3, ends[Profile.YARP3]))
+        waits = self._acked and len(data) < max(ends.values(), default=0) + ACKNOWLEDGED
+        if Profile.YARP3 in ends and not waits:
+            return self._decided((Profile.YARP3, ends[Profile.YARP3]))
+        raise missing or Incomplete("the acknowledgement is missing, which tells where the reply ends")
 
     def _decided(self, found: tuple[Profile, int]) -> int:
         self.profile, end = found
@@ -84,7 +83,7 @@ class ReplyReader:
 
 
 def plain_end(data: Data, profile: Profile | None) -> int:
-    """Where a Bottle of numbers of one type ends, at a glance; 0 where it is another one, or the profile would have to be known."""
+    """Where a Bottle of numbers of one type ends, at a glance; 0 where it is another, or may be either profile's."""
     if len(data) < 8:
         return 0
     tag, count = _TWO(data, 0)
