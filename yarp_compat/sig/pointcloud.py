@@ -151,8 +151,8 @@ class PointCloud(Portable):
 
     def push_back(self, point: Any) -> None:
         """Append a point, a record or a tuple of its numbers; the points have no order then."""
-        self._points = np.append(self._points, np.array([point], self._points.dtype))
-        self._height = 1
+        self.resize(len(self._points) + 1)
+        self._points[-1] = point
 
     def toString(self) -> str:
         """The points, one on a line."""

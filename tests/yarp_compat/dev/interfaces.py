@@ -1,4 +1,4 @@
-"""The services of YARP's navigation and frame transforms as its .thrift files declare them, as far as transcripts go."""
+"""YARP's navigation and frame transform services as its .thrift files declare them, as far as transcripts go."""
 
 from __future__ import annotations
 
