@@ -7,6 +7,10 @@ import re
 from typing import Any
 
 _PLACES = {
+    "dev.laserscan": "LaserMeasurementData LaserScan2D",
+    "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
+    "dev.odometry": "MobileBaseVelocity OdometryData",
+    "dev.returnvalue": "ReturnValue",
     "os.bottle": "Bottle",
     "os.buffered_port": "BufferedPort",
     "os.callback": "TypedReaderCallback",
@@ -30,14 +34,15 @@ _PLACES = {
         "YARP_CLOCK_UNINITIALIZED YARP_CLOCK_DEFAULT YARP_CLOCK_SYSTEM YARP_CLOCK_NETWORK YARP_CLOCK_CUSTOM"
     ),
     "os.value": "Value",
-    "os.vocab": "createVocab32 createVocab64 encode decode Vocab32_encode Vocab32_decode",
+    "os.vocab": "Vocab Vocab32 Vocab64 createVocab32 encode decode",
     "sig.image": (
         "Image FlexImage ImageMono ImageMono16 ImageRgb ImageRgba ImageBgr ImageBgra ImageInt ImageFloat ImageRgbFloat "
         "ImageRgbInt ImageRgbSigned ImageMonoSigned ImageHsv ImageHsvFloat"
     ),
     "sig.matrix": "Matrix",
     "sig.pixels": (
-        "PixelRgb PixelBgr PixelRgba PixelBgra PixelHsv PixelRgbSigned PixelRgbInt PixelRgbFloat PixelHsvFloat"
+        "PixelCode PixelRgb PixelBgr PixelRgba PixelBgra PixelHsv PixelRgbSigned PixelRgbInt PixelRgbFloat "
+        "PixelHsvFloat"
     ),
     "sig.pointcloud": (
         "PointCloud PointCloudXY PointCloudXYZ PointCloudXYZRGBA PointCloudXYZI PointCloudInterestPointXYZ "
@@ -107,6 +112,8 @@ def _of_family(name: str) -> Any:
     data = name.removesuffix("Callback")
     if data != name and _is_data(data):
         return type(name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}."})
+    if name.startswith("VOCAB_PIXEL_"):
+        return getattr(find("PixelCode"), name.removeprefix("VOCAB_PIXEL_"), None)
     owner, _, method = name.partition("_")
     if method and owner in _WHERE:
         return getattr(find(owner), method, None)

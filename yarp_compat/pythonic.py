@@ -79,7 +79,7 @@ class Received:
 
     def reply(self, content: Content) -> None:
         """Answer, once."""
-        self.raw.reply(payload_of(content, self._reply_profile))
+        self.raw.reply(_writer(content)(self._reply_profile))
 
 
 class OpenPort:
@@ -209,7 +209,7 @@ class Writer(OpenPort):
         Returns:
             how many connections took it.
         """
-        return self.core.write(payload_of(content, self.core.profile), envelope, strict=strict)
+        return self.core.write(_writer(content), envelope, strict=strict)
 
 
 class Client(OpenPort):
@@ -242,7 +242,7 @@ class Client(OpenPort):
             TimeoutError: there was none in so many seconds.
             ConnectionError: the server is gone.
         """
-        return binary.decode(self.core.request(payload_of(content, self.core.profile), timeout=timeout))
+        return binary.decode(self.core.request(_writer(content), timeout=timeout))
 
 
 class Server(OpenPort):
@@ -266,13 +266,8 @@ class Server(OpenPort):
         received.reply(self._respond(received.values))
 
 
-def payload_of(content: Content, profile: Profile) -> Payload:
-    """The bytes of what is sent.
-
-    Raises:
-        WireError: there is a value that cannot be sent.
-    """
+def _writer(content: Content) -> Callable[[Profile], Payload]:
+    """What makes the bytes of what is sent, in a peer's dialect."""
     if isinstance(content, Portable):
-        return content.to_wire(profile)
-    to_wire = getattr(content, "to_wire", None)
-    return to_wire(profile) if to_wire is not None else binary.encode_parts(content, profile)
+        return content.to_wire
+    return lambda profile: binary.encode_parts(content, profile)

@@ -73,7 +73,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
         try:
             if forceStrict:
                 core.wait_writes()
-            core.write(data.to_wire(core.profile), self._envelope, strict=forceStrict)
+            core.write(data.to_wire, self._envelope, strict=forceStrict)
         except (WireError, OSError) as err:
             log.error("port %s cannot write: %s", core.name, err)
 

@@ -124,7 +124,6 @@ class ConnectionReader:
         self._message = message
         self._local = local
         self._failed = False
-        self._dropped = False
         data: Buffer = b"" if message is None else message.payload
         self._size = memoryview(data).nbytes
         self.reader = Reader(data, profile_of(message, profile))
@@ -220,12 +219,8 @@ class ConnectionReader:
 
     def requestDrop(self) -> None:
         """Ask that the connection end with this message."""
-        self._dropped = True
-
-    @property
-    def dropped(self) -> bool:
-        """Whether the connection shall end with this message."""
-        return self._dropped
+        if self._message is not None:
+            self._message.drop()
 
     def _take(self, layout: str) -> Any:
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from yarp_compat.wire.contact import Contact as Address
@@ -17,6 +17,7 @@ class Contact:
 
     def __init__(self, *parts: Any) -> None:
         self._timeout = -1.0
+        self._address: Address
         if len(parts) == 1 and isinstance(parts[0], Contact):
             self._address, self._timeout = parts[0]._address, parts[0]._timeout
         elif len(parts) == 2 and isinstance(parts[1], int):
@@ -24,7 +25,8 @@ class Contact:
         elif len(parts) == 3 and isinstance(parts[2], int):
             self._address = Address("", parts[1], parts[2], parts[0])
         else:
-            name, carrier, host, number = (*parts, *("", "", "", -1)[len(parts) :])
+            missing: tuple[Any, ...] = ("", "", "", -1)[len(parts) :]
+            name, carrier, host, number = parts + missing
             self._address = Address(str(name), str(host), int(number), str(carrier))
 
     @classmethod
@@ -121,9 +123,7 @@ class Contact:
             return host
 
     def _set(self, **fields: Any) -> None:
-        a = self._address
-        values = {"name": a.name, "host": a.host, "port": a.port, "carrier": a.carrier} | fields
-        self._address = Address(**values)
+        self._address = replace(self._address, **fields)
 
 
 @dataclass

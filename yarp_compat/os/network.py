@@ -78,8 +78,13 @@ class Network:
         """Whether the name server answers, within ``timeout`` seconds when that is positive."""
         if RUNTIME.is_local:
             return True
-        client = NameClient(timeout=timeout) if timeout > 0 else NameClient()
-        return _done(lambda: client.lines(["list", namespace()]) is not None, "the name server cannot be used")
+        known = RUNTIME.client
+
+        def check() -> bool:
+            client = NameClient(known.address, timeout=timeout) if known and timeout > 0 else known
+            return client is not None and client.lines(["list", namespace()]) is not None
+
+        return _done(check, "the name server cannot be used")
 
     @staticmethod
     def connect(src: str, dest: str, carrier: str | ContactStyle | None = "", quiet: bool = True) -> bool:

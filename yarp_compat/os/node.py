@@ -129,9 +129,8 @@ class Publisher(BufferedPort):
         if core is None or self._interrupted:
             return False
         try:
-            payload = forceStrict.to_wire(core.profile)
             count = len(core.outputs())
-            reached = core.write(payload, self._envelope, strict=self._wait, wait=self._wait)
+            reached = core.write(forceStrict.to_wire, self._envelope, strict=self._wait, wait=self._wait)
         except (WireError, OSError) as err:
             log.error("port %s cannot write: %s", core.name, err)
             return False

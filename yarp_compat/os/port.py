@@ -64,21 +64,17 @@ class Port(Contactable):
         if core is None or self._interrupted:
             return False
         try:
-            payload = data.to_wire(core.profile)
             if reply is not None:
-                return self._request(core, payload, reply)
+                answer = core.request(data.to_wire, self._envelope, timeout=self._timeout)
+                reply.from_wire(answer)
+                return True
             wait = not self._background
             count = len(core.outputs())
-            reached = core.write(payload, self._envelope, strict=wait, wait=wait, timeout=self._timeout)
+            reached = core.write(data.to_wire, self._envelope, strict=wait, wait=wait, timeout=self._timeout)
         except (WireError, OSError) as err:
             log.error("port %s cannot write: %s", core.name, err)
             return False
         return reached >= count or not wait
-
-    def _request(self, core: PortCore, payload: Any, reply: Any) -> bool:
-        answer = core.request(payload, self._envelope, timeout=self._timeout)
-        reply.from_wire(answer, None)
-        return True
 
     # -- reading ------------------------------------------------------------------------------------------------------
 
@@ -117,11 +113,9 @@ class Port(Contactable):
 
     def replyAndDrop(self, data: Any) -> bool:
         """Answer, and end the connection."""
-        source = "" if self._due is None else self._due.peer.route.source
-        done = self._reply(data)
-        if done and self._core is not None:
-            self._core.remove_input(source)
-        return done
+        if self._due is not None:
+            self._due.drop()
+        return self._reply(data)
 
     def _reply(self, data: Any) -> bool:
         message, self._due = self._due, None

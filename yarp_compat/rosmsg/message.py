@@ -152,7 +152,7 @@ class Message(Portable):
     @classmethod
     def _read_array(cls, source: Reader, field: Field) -> Any:
         if source.next_tag() == BLOB and PRIMITIVES.get(field.type) == 1:
-            found = list(source.blob().cast(_LETTERS[field.type]))
+            found = list(struct.unpack(f"<{len(data := source.blob())}{_LETTERS[field.type]}", data))
         elif field.type in PRIMITIVES:
             found = cls._read_numbers(source, field)
         else:

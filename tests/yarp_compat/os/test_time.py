@@ -18,7 +18,7 @@ def test_delay_waits() -> None:
     begin = time.monotonic()
     yarp.delay(0.02)
     yarp.Time.delay(-1)
-    assert 0.02 <= time.monotonic() - begin
+    assert time.monotonic() - begin >= 0.02
 
 
 def test_a_network_clock_is_refused() -> None:

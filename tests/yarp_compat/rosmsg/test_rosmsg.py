@@ -76,7 +76,16 @@ def test_both_worlds_spellings(line: str, field: Field) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["int32", "int32 9x", "int32 a\nint32 a", "a/b/c/d x", "float[x] y", "int32[99999999999] y", "time T=3", "bool B=maybe"],
+    [
+        "int32",
+        "int32 9x",
+        "int32 a\nint32 a",
+        "a/b/c/d x",
+        "float[x] y",
+        "int32[99999999999] y",
+        "time T=3",
+        "bool B=maybe",
+    ],
 )
 def test_what_cannot_be_read_is_named(text: str) -> None:
     with pytest.raises(DefinitionError, match="pkg/Name"):
@@ -92,7 +101,13 @@ def test_names() -> None:
 @pytest.mark.parametrize("profile", Profile)
 def test_the_bytes_are_those_of_yarps_own_classes(library: Library, profile: Profile) -> None:
     message = library.get("test/Scan")(
-        angle_min=0.5, ranges=[1.0, 2.0], flags=b"\x01\xff", names=["a", "é"], ok=True, age=TickTime(-2, 5), count=2**32 - 1
+        angle_min=0.5,
+        ranges=[1.0, 2.0],
+        flags=b"\x01\xff",
+        names=["a", "é"],
+        ok=True,
+        age=TickTime(-2, 5),
+        count=2**32 - 1,
     )
     message.header.seq, message.header.stamp, message.header.frame_id = 3, TickTime(4, 6), "laser"
     message.points = [library.get("test/Point")(x=1.5, id=-1)]
@@ -180,7 +195,9 @@ def test_files_are_found_when_they_are_needed(tmp_path: Path) -> None:
 def test_somebody_is_asked_last() -> None:
     library = Library({})
     asked = []
-    library.ask = lambda name: asked.append(name) or (f"Two two\n{LINE}\nMSG: pkg/Two\nint32 n" if name == "pkg/One" else None)
+    library.ask = lambda name: (
+        asked.append(name) or (f"Two two\n{LINE}\nMSG: pkg/Two\nint32 n" if name == "pkg/One" else None)
+    )
     assert library.get("pkg/One")().two.n == 0
     assert asked == ["pkg/One"]
     with pytest.raises(DefinitionError, match="YARP_ROSMSG_PATH"):

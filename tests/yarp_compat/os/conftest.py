@@ -1,0 +1,36 @@
+"""A network for the tests of what YARP users know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.ports import free_port
+from yarp_compat.naming.server import NameServer
+from yarp_compat.os.runtime import RUNTIME
+
+
+@pytest.fixture
+def local() -> Iterator[None]:
+    """Names live in this process."""
+    yarp.Network.setLocalMode(True)
+    yarp.Network.init()
+    yield
+    yarp.Network.fini()
+    yarp.Network.setLocalMode(False)
+    assert not RUNTIME.is_up
+
+
+@pytest.fixture
+def name_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[NameServer]:
+    """A name server of ours, which yarp.conf names."""
+    with NameServer(port=free_port()) as server:
+        monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+        monkeypatch.delenv("YARP_NAMESPACE", raising=False)
+        (tmp_path / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")
+        yarp.Network.init()
+        yield server
+        yarp.Network.fini()

@@ -1,0 +1,153 @@
+"""`Network` with a name server of ours."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.ports import free_port
+from tests.support.wait import until
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.server import NameServer
+from yarp_compat.os.runtime import RUNTIME
+
+pytestmark = pytest.mark.usefixtures("name_server")
+
+
+@pytest.fixture
+def ports() -> tuple[yarp.Port, yarp.Port]:
+    reader, writer = yarp.Port(), yarp.Port()
+    reader.setReader(Ignore())
+    assert reader.open("/r")
+    assert writer.open("/w")
+    return reader, writer
+
+
+class Ignore(yarp.PortReader):
+    def read(self, connection: yarp.ConnectionReader) -> bool:
+        return yarp.Bottle().read(connection) if connection.isValid() else False
+
+
+def test_connections(ports: tuple[yarp.Port, yarp.Port]) -> None:
+    reader, writer = ports
+    assert yarp.Network.checkNetwork()
+    assert yarp.Network.checkNetwork(2.0)
+    assert yarp.Network.exists("/r")
+    assert not yarp.Network.isConnected("/w", "/r")
+    assert yarp.Network.connect("/w", "/r")
+    assert yarp.Network.isConnected("/w", "/r")
+    assert yarp.Network.isConnected("/w", "/r", "tcp")
+    assert not yarp.Network.isConnected("/w", "/r", "udp")
+    assert yarp.Network.connect("/w", "/r", "fast_tcp")  # by another carrier, in the former's place
+    assert yarp.Network.isConnected("/w", "/r", "fast_tcp")
+    until(lambda: reader.getInputCount() == 1, "one connection")
+    assert yarp.Network.disconnect("/w", "/r")
+    assert not yarp.Network.isConnected("/w", "/r")
+    assert writer.getOutputCount() == 0
+
+
+def test_a_style_says_how(ports: tuple[yarp.Port, yarp.Port]) -> None:
+    style = yarp.ContactStyle()
+    style.carrier, style.quiet, style.timeout = "fast_tcp", True, 3.0
+    assert yarp.Network.connect("/w", "/r", style)
+    assert yarp.Network.isConnected("/w", "/r", "fast_tcp")
+    assert yarp.Network.disconnect("/w", "/r", style)
+
+
+def test_persistent_connections_wait_for_ports(name_server: NameServer) -> None:
+    style = yarp.ContactStyle()
+    style.persistent = True
+    assert yarp.Network.connect("/later/w", "/later/r", style)
+    reader, writer = yarp.Port(), yarp.Port()
+    assert reader.open("/later/r")
+    assert writer.open("/later/w")
+    assert yarp.Network.waitConnection("/later/w", "/later/r", True)
+    assert yarp.Network.disconnect("/later/w", "/later/r", style)
+
+
+def test_what_fails_returns_false_and_says_why(caplog: pytest.LogCaptureFixture, ports: object) -> None:
+    assert not yarp.Network.connect("/w", "/nowhere")
+    assert "/nowhere" in caplog.text
+    assert not yarp.Network.disconnect("/w", "/r")
+    assert not yarp.Network.connect("/w", "/r", "carrier_pigeon")
+    assert not yarp.Network.exists("/nowhere")
+    assert not yarp.Network.queryName("/nowhere").isValid()
+    assert not yarp.Network.isConnected("/nowhere", "/r")
+
+
+def test_names() -> None:
+    made = yarp.Network.registerName("/robot/thing")
+    assert made.isValid()
+    assert made.getRegName() == "/robot/thing"
+    found = yarp.Network.queryName("/robot/thing")
+    assert (found.getPort(), found.getCarrier(), found.toURI()) == (made.getPort(), "tcp", made.toURI())
+    assert yarp.Network.setProperty("/robot/thing", "colour", yarp.Value("red"))
+    assert yarp.Network.getProperty("/robot/thing", "colour").asString() == "red"
+    assert yarp.Network.getProperty("/robot/thing", "size") is None
+    yarp.Network.unregisterName("/robot/thing")
+    assert not yarp.Network.queryName("/robot/thing").isValid()
+    other = yarp.Network.registerContact(yarp.Contact("/robot/other", "tcp", "127.0.0.1", 12345))
+    assert other.getPort() == 12345
+    assert yarp.Network.getNameServerName() == "/root"
+    assert yarp.Network.isValidPortName("/a/b")
+    assert not yarp.Network.isValidPortName("a b")
+
+
+def test_waiting_for_a_port() -> None:
+    port = yarp.Port()
+    thread = threading.Timer(0.1, lambda: port.open("/late"))
+    thread.start()
+    assert yarp.Network.waitPort("/late", True)
+    assert yarp.Network.sync("/late")
+    thread.join()
+    port.close()
+
+
+def test_a_message_without_a_port(ports: object) -> None:
+    class Answer(yarp.PortReader):
+        def read(self, connection: yarp.ConnectionReader) -> bool:
+            command = yarp.Bottle()
+            return command.read(connection) and yarp.Bottle(["got", *command]).write(connection.getWriter())
+
+    server, answer = yarp.RpcServer(), yarp.Bottle()
+    server.setReader(Answer())
+    assert server.open("/server")
+    for place in ("/server", yarp.Network.queryName("/server")):
+        assert yarp.Network.write(place, yarp.Bottle("a 1"), answer)
+        assert answer.toString() == "got a 1"
+    assert yarp.Network.write(yarp.Contact("/server"), yarp.Bottle("[ver]"), answer, True, True, 2.0)
+    assert answer.get(0).asVocab32() == yarp.createVocab32("v", "e", "r")
+    assert not yarp.Network.write("/nowhere", yarp.Bottle("a"), answer)
+    assert yarp.Network.writeToNameServer(yarp.Bottle("query /server"), answer)
+    assert "/server" in answer.toString()
+
+
+def test_the_object_begins_and_ends() -> None:
+    with yarp.Network():
+        assert RUNTIME.is_up
+    network = yarp.Network()
+    del network
+    assert yarp.Network.initialized()  # the fixture's
+
+
+def test_another_name_server_is_used() -> None:
+    with NameServer(port=free_port()) as other:
+        there = yarp.Contact("/root", "tcp", other.address.host, other.address.port)
+        assert yarp.Network.setNameServerContact(there)
+        assert yarp.Network.getNameServerContact().getPort() == other.address.port
+        port = yarp.Port()
+        assert port.open("/there")
+        assert [c.name for c in NameClient(other.address).list("/there")] == ["/there"]
+        port.close()
+    assert not yarp.Network.setNameServerContact(yarp.Contact())
+
+
+def test_no_name_server(caplog: pytest.LogCaptureFixture) -> None:
+    assert yarp.Network.setNameServerContact(yarp.Contact("/root", "tcp", "127.0.0.1", free_port()))
+    assert not yarp.Network.checkNetwork(0.5)
+    assert not yarp.Port().open("/x")
+    assert not yarp.Network.connect("/a", "/b")
+    assert not yarp.Network.registerName("/x").isValid()
+    assert "name server" in caplog.text

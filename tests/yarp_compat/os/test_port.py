@@ -1,0 +1,305 @@
+"""`Port`, `RpcServer`, `RpcClient`: reading, writing, answering."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+
+pytestmark = pytest.mark.usefixtures("local")
+
+
+@pytest.fixture
+def pool() -> Iterator[ThreadPoolExecutor]:
+    with ThreadPoolExecutor(2) as made:
+        yield made
+
+
+def opened(kind: type = yarp.Port, name: str = "...") -> yarp.Port:
+    port = kind()
+    assert port.open(name)
+    return port
+
+
+def connected() -> tuple[yarp.Port, yarp.Port]:
+    reader, writer = opened(name="/r"), opened(name="/w")
+    assert writer.addOutput("/r")
+    until(reader.getInputCount, "the connection")
+    return reader, writer
+
+
+def test_a_port_writes_what_another_reads(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    sent = pool.submit(writer.write, yarp.Bottle("hello 1 2.5 (a b)"))
+    got = yarp.Bottle()
+    assert reader.read(got)
+    assert got.toString() == "hello 1 2.5 (a b)"
+    assert sent.result(5)
+    assert (writer.getOutputCount(), reader.getInputCount(), reader.getOutputCount()) == (1, 1, 0)
+
+
+def test_a_writer_waits_until_its_message_is_read(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    sent = pool.submit(writer.write, yarp.Bottle("1"))
+    until(writer.isWriting, "the message to be on its way")
+    assert not sent.done()
+    got = yarp.Bottle()
+    assert reader.read(got)
+    assert sent.result(5)
+
+
+def test_a_background_writer_waits_for_nobody() -> None:
+    reader, writer = connected()
+    writer.enableBackgroundWrite(True)
+    for number in range(5):
+        bottle = yarp.Bottle()
+        bottle.addInt32(number)
+        assert writer.write(bottle)
+    got = yarp.Bottle()
+    seen = []
+    while not seen or seen[-1] < 4:
+        assert reader.read(got)
+        seen.append(got.get(0).asInt32())
+    assert seen == sorted(seen)
+
+
+def test_every_kind_of_data_crosses(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    vector = yarp.Vector([1.0, 2.0, 3.5])
+    for sent, empty in (
+        (vector, yarp.Vector()),
+        (yarp.Stamp(3, 1.5), yarp.Stamp()),
+        (yarp.Property("(a 1)"), yarp.Property()),
+    ):
+        done = pool.submit(writer.write, sent)
+        assert reader.read(empty)
+        assert empty.to_bytes() == sent.to_bytes()
+        assert done.result(5)
+
+
+def test_a_message_of_another_kind_is_not_read(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    done = pool.submit(writer.write, yarp.Bottle("not a vector"))
+    vector = yarp.Vector([7.0])
+    assert not reader.read(vector)
+    assert vector.get(0) == 7.0
+    assert done.result(5)
+
+
+def test_envelopes(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    stamp, got = yarp.Stamp(12, 1795143618.25), yarp.Stamp()
+    assert writer.setEnvelope(stamp)
+    for _ in range(2):  # it stays until another is set
+        done = pool.submit(writer.write, yarp.Bottle("x"))
+        assert reader.read(yarp.Bottle())
+        assert reader.getEnvelope(got)
+        assert (got.getCount(), got.getTime()) == (12, 1795143618.25)
+        assert done.result(5)
+    assert not opened().getEnvelope(got)
+
+
+def test_questions_have_answers(pool: ThreadPoolExecutor) -> None:
+    server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
+    assert client.addOutput("/s")
+    answer = yarp.Bottle()
+    asked = pool.submit(client.write, yarp.Bottle("add 2 3"), answer)
+    command = yarp.Bottle()
+    assert server.read(command, True)
+    assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
+    assert asked.result(5)
+    assert answer.get(0).asInt32() == 5
+    assert not server.reply(answer)  # nobody asked again
+
+
+def test_a_promised_answer_that_does_not_come_is_empty(pool: ThreadPoolExecutor) -> None:
+    server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
+    assert client.addOutput("/s")
+    answers = [yarp.Bottle("old"), yarp.Bottle("old")]
+    asked = pool.submit(lambda: [client.write(yarp.Bottle("a"), answer) for answer in answers])
+    command = yarp.Bottle()
+    assert server.read(command, True)
+    assert server.read(command, True)
+    assert server.reply(yarp.Bottle("second"))
+    assert asked.result(5) == [True, True]
+    assert [answer.toString() for answer in answers] == ["", "second"]
+
+
+def test_what_servers_and_clients_do_not_do() -> None:
+    server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
+    assert not server.write(yarp.Bottle())
+    assert not server.read(yarp.Bottle(), False)
+    assert not client.read(yarp.Bottle())
+    assert not client.reply(yarp.Bottle())
+    assert not client.write(yarp.Bottle("x"), yarp.Bottle())  # it is connected to nobody
+    assert client.addOutput("/s")
+    other = opened(yarp.RpcServer, "/s2")
+    assert not client.addOutput("/s2")  # it has one already
+    assert other.getInputCount() == 0
+
+
+def test_an_answer_may_end_the_connection(pool: ThreadPoolExecutor) -> None:
+    server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
+    assert client.addOutput("/s")
+    answer = yarp.Bottle()
+    asked = pool.submit(client.write, yarp.Bottle("bye"), answer)
+    assert server.read(yarp.Bottle(), True)
+    assert server.replyAndDrop(yarp.Bottle("ok"))
+    assert asked.result(5)
+    assert answer.toString() == "ok"
+    until(lambda: server.getInputCount() == 0, "the connection to end")
+
+
+class Echo(yarp.PortReader):
+    def __init__(self) -> None:
+        super().__init__()
+        self.said: list[str] = []
+
+    def read(self, connection: yarp.ConnectionReader) -> bool:
+        if not connection.isValid():
+            self.said.append("end")
+            return False
+        command, answer = yarp.Bottle(), yarp.Bottle()
+        if not command.read(connection):
+            return False
+        self.said.append(f"{connection.getRemoteContact().getName()}: {command.toString()}")
+        writer = connection.getWriter()
+        if writer is None:
+            return True
+        answer.addString("got")
+        answer.append(command)
+        return answer.write(writer)
+
+
+def test_a_reader_takes_messages_as_they_come() -> None:
+    echo = Echo()
+    server = yarp.Port()
+    server.setReader(echo)
+    assert server.open("/s")
+    client = opened(name="/c")
+    assert client.addOutput("/s")
+    answer = yarp.Bottle()
+    assert client.write(yarp.Bottle("a 1"), answer)
+    assert answer.toString() == "got a 1"
+    assert client.write(yarp.Bottle("b"))
+    server.close()
+    assert echo.said == ["/c: a 1", "/c: b", "end"]
+
+
+def test_a_reader_reads_numbers_too() -> None:
+    found = []
+
+    class Raw(yarp.PortReader):
+        def read(self, connection: yarp.ConnectionReader) -> bool:
+            if connection.isValid():
+                found.append(
+                    [connection.getSize(), *(connection.expectInt32() for _ in range(4)), connection.isError()]
+                )
+                found.append([connection.expectFloat64(), connection.isError(), connection.getWriter()])
+            return True
+
+    server = yarp.Port()
+    server.setReader(Raw())
+    assert server.open("/s")
+    client = opened(name="/c")
+    assert client.addOutput("/s")
+    assert client.write(yarp.Bottle("5"))
+    assert found[0] == [12, 257, 1, 5, 0, True]
+    assert found[1] == [0.0, True, None]
+
+
+def test_interrupting_lets_readers_go() -> None:
+    reader = opened()
+    results: list[bool] = []
+    thread = threading.Thread(target=lambda: results.append(reader.read(yarp.Bottle())))
+    thread.start()
+    reader.interrupt()
+    thread.join(5)
+    assert results == [False]
+    assert not reader.read(yarp.Bottle())
+    assert not reader.write(yarp.Bottle())
+    reader.resume()
+    assert reader.write(yarp.Bottle())
+
+
+def test_closing_lets_readers_and_writers_go(pool: ThreadPoolExecutor) -> None:
+    reader, writer = connected()
+    waiting = pool.submit(writer.write, yarp.Bottle("x"))
+    until(writer.isWriting, "the message to be on its way")
+    reader.close()
+    waiting.result(5)
+    assert not reader.read(yarp.Bottle())
+    assert not reader.isOpen()
+    assert reader.getName() == ""
+    until(lambda: writer.getOutputCount() == 0, "the writer to see it")
+
+
+def test_a_port_that_is_let_go_of_is_closed() -> None:
+    reader = opened(name="/gone")
+    assert yarp.Network.exists("/gone")
+    del reader
+    gc.collect()
+    assert not yarp.Network.exists("/gone")
+
+
+def test_a_port_is_opened_again_under_another_name() -> None:
+    port = opened(name="/one")
+    assert port.open("/two")
+    assert port.getName() == "/two"
+    assert not yarp.Network.exists("/one")
+
+
+def test_names_that_cannot_be(caplog: pytest.LogCaptureFixture) -> None:
+    assert not yarp.Port().open("no/slash")
+    assert not yarp.Port().open("/two words")
+    assert not yarp.Port().open("/topic@/node")
+    assert "/topic+@/node" in caplog.text
+    assert yarp.Port().where().getPort() == -1
+
+
+def test_what_a_port_tells_of_itself() -> None:
+    told: list[str] = []
+
+    class Report(yarp.PortReport):
+        def report(self, info: yarp.PortInfo) -> None:
+            told.append(info.message)
+
+    reader, writer = connected()
+    reader.getReport(Report())
+    assert told[0].startswith("This is /r at tcp://127.0.0.1:")
+    assert told[1:] == ["There is an input connection from /w to /r using tcp"]
+    coming: list[tuple[bool, bool, str]] = []
+
+    class Events(yarp.PortReport):
+        def report(self, info: yarp.PortInfo) -> None:
+            coming.append((info.incoming, info.created, info.sourceName))
+
+    events = Events()
+    reader.setReporter(events)
+    writer.close()
+    until(lambda: coming, "the connection to end")
+    assert coming == [(True, False, "/w")]
+
+
+def test_a_port_listens_where_it_is_told_to() -> None:
+    port = yarp.Port()
+    assert port.open(yarp.Contact("/here", "tcp", "127.0.0.1", 0))
+    assert port.where().getHost() == "127.0.0.1"
+    hidden = yarp.Port()
+    assert hidden.open(yarp.Contact("/hidden", "tcp", "127.0.0.1", 0), False)
+    assert not yarp.Network.queryName("/hidden").isValid()
+
+
+def test_ports_need_the_network(caplog: pytest.LogCaptureFixture) -> None:
+    yarp.Network.fini()
+    try:
+        assert not yarp.Port().open("/x")
+        assert "yarp.Network.init()" in caplog.text
+    finally:
+        yarp.Network.init()
