@@ -97,7 +97,7 @@ class Connector:
 
     def _make(self, wish: Wish) -> NamingError | None:
         try:
-            if not connections.is_connected(self._naming, wish.source, wish.target, timeout=TIMEOUT):
+            if wish.anew or not connections.is_connected(self._naming, wish.source, wish.target, timeout=TIMEOUT):
                 connections.connect(self._naming, wish.source, wish.target, timeout=TIMEOUT)
                 _log.info("persistent connection from %s to %s made", wish.source, wish.target)
         except NamingError as err:

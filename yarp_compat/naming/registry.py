@@ -35,11 +35,13 @@ class Entry:
         contact: its name and address.
         since: when it was registered, in seconds of the registry's clock.
         properties: words kept under keys.
+        announced: it has said that it listens.
     """
 
     contact: Contact
     since: float
     properties: dict[str, list[str]] = field(default_factory=dict)
+    announced: bool = False
 
 
 @dataclass(slots=True)
@@ -101,7 +103,7 @@ class Registry:
 
     def add(self, contact: Contact) -> None:
         """Register a port of which everything is known, such as the name server's own."""
-        self._ports[contact.name] = Entry(contact, self._clock())
+        self._ports[contact.name] = Entry(contact, self._clock(), announced=True)
         self._subscriptions.welcome(contact.name)
 
     def apply(self, words: Sequence[Any], remote: str = "") -> Answer:
@@ -344,8 +346,9 @@ class Registry:
         alive = len(command.words) < 3 or command.words[2] != 0
         # one that does not respond is not forgotten for that: who could not reach it may be at fault
         if alive and self._is_port(name):
-            command.wishes += self._subscriptions.welcome(name)
-            command.changed = True
+            entry = self._ports[name]
+            command.wishes += self._subscriptions.welcome(name, anew=not entry.announced)
+            command.changed = entry.announced = True
         return code(True)
 
     def _topic(self, command: _Command) -> list[Any]:

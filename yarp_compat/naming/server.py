@@ -38,7 +38,8 @@ LIMIT = 64 * 1024
 GC_SECONDS = 60.0
 YOUNG = 5.0
 """Seconds for which a port is not looked for: it is registered before it listens."""
-_PROBE_SECONDS = 1.0
+PROBE_SECONDS = 1.0
+"""Seconds for one look at all ports; a port that takes longer to answer is not dead."""
 
 
 class NameServer:
@@ -151,7 +152,7 @@ class NameServer:
                 and e.contact != self.contact
                 and self.registry.age(e) > YOUNG
             ]
-        dead = probe.refused(entries, _PROBE_SECONDS)
+        dead = probe.refused(entries, PROBE_SECONDS)
         gone = sorted(dead if patience == 1 else dead & self._suspects)
         self._suspects = dead - set(gone)
         if gone:

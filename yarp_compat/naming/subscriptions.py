@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from yarp_compat.wire.contact import Contact, is_name
@@ -22,15 +22,18 @@ MODES = ("", "from", "to")
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """A connection to be made unless it is there.
+    """A connection to be made.
 
     Attributes:
         source: the port that writes, as the subscription spells it.
         target: the port that reads, with the carrier that was asked for (``udp://r``).
+        anew: even if the writing port believes that it is connected: that was to a former program of this name, of
+            whose end it need not know before it writes.
     """
 
     source: str
     target: str
+    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +83,10 @@ class Subscriptions:
         """Forget a persistent connection; the connection itself stays."""
         self._all.pop((Contact.parse(source).name, Contact.parse(target).name), None)
 
-    def welcome(self, port: str) -> list[Wish]:
-        """A port says that it listens; returns the connections that are wanted now."""
+    def welcome(self, port: str, anew: bool = False) -> list[Wish]:
+        """A port says that it listens (``anew``: for the first time); returns the connections that are wanted now."""
         self._live.add(port)
-        return self._hookup(port)
+        return [replace(wish, anew=anew) for wish in self._hookup(port)]
 
     def gone(self, port: str) -> None:
         """A port was unregistered, or is dead."""

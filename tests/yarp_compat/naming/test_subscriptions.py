@@ -28,10 +28,13 @@ def test_wanted_when_both_are_there(ask: Asked) -> None:
     """With the second of them, in either order; again whenever one returns."""
     assert ask("subscribe /a udp://b") == ["[ok]"]
     assert there(ask, "/b") == []
-    assert there(ask, "/a") == [Wish("/a", "udp://b")]
+    assert there(ask, "/a") == [Wish("/a", "udp://b", anew=True)]
     ask("unregister /b")
     assert there(ask, "/a") == []
-    assert there(ask, "/b") == [Wish("/a", "udp://b")]
+    assert there(ask, "/b") == [Wish("/a", "udp://b", anew=True)]
+    ask.wishes.clear()
+    ask("announce /b")
+    assert ask.wishes == [Wish("/a", "udp://b")]
     assert ask("unsubscribe /a /b") == ["[ok]"]
     assert there(ask, "/b") == []
 
@@ -86,7 +89,7 @@ def test_topics(ask: Asked) -> None:
     assert there(ask, "/w2") == []
     ask("subscribe /w2 topic://t")
     assert set(ask.wishes) == {Wish("/w2", "/r1"), Wish("/w2", "tcp://r2")}
-    assert set(there(ask, "/r1")) == {Wish("/w", "/r1"), Wish("/w2", "/r1")}
+    assert set(there(ask, "/r1")) == {Wish("/w", "/r1", anew=True), Wish("/w2", "/r1", anew=True)}
     ask("untopic /t")
     assert ask("topic") == [""]
     assert there(ask, "/r1") == []

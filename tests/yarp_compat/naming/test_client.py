@@ -1,0 +1,174 @@
+"""The client: what it says, byte for byte as YARP's own programs, and what it does when nobody answers."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.ports import free_port
+from tests.yarp_compat.naming.scripted import Scripted
+from tests.yarp_compat.transcripts import Talk, read
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.errors import ConfigError, NameRefusedError, NamingError, NoNameServerError, PortError
+from yarp_compat.wire.carriers import CARRIERS
+from yarp_compat.wire.contact import Contact
+
+TALKS = {talk.number: talk for talk in read("connect.txt")}
+CONNECT = (15, 16, 17, 18)
+"""The connections of ``yarp connect /writer /reader``: two questions to the name server, two to the port."""
+
+
+def script(talk: Talk, port: int | None = None) -> list[tuple[int, bytes | None]]:
+    """What a real peer answered, after how many lines; with another port number in place of its own."""
+    steps = [(step.by, step.data) for step in talk.steps]
+    asked = [data for by, data in steps if by == "C"]
+    answers = [data for by, data in steps if by == "S"]
+    if port is not None:
+        answers = [data.replace(b"port 10003", b"port %d" % port) for data in answers]
+    return [(data.count(b"\n"), answer) for data, answer in zip(asked, answers, strict=True)]
+
+
+def client(port: int, timeout: float = 5.0) -> NameClient:
+    """A client of whatever listens at a port."""
+    return NameClient(Address("127.0.0.1", port), timeout=timeout)
+
+
+def test_opening_a_port_as_a_real_program_does() -> None:
+    """Register, four properties, announce, unregister: the same commands in the same form; the properties are ours."""
+    with Scripted(*(script(TALKS[n]) for n in (1, 2, 3, 4, 5, 6, 7, 25))) as server:
+        names = client(server.port)
+        assert names.query("/reader") is None
+        assert names.register("/reader") == Contact("/reader", "127.0.0.1", 10002, "tcp")
+        names.announce("/reader")
+        names.unregister("/reader")
+    real = [TALKS[n].said("C") for n in (1, 2, 3, 4, 5, 6, 7, 25)]
+    ours = server.heard
+    assert [ours[i] for i in (0, 1, 6, 7)] == [real[i] for i in (0, 1, 6, 7)]
+    offers = " ".join(CARRIERS).encode()
+    assert ours[2:6] == [
+        b"NAME_SERVER set /reader offers " + offers + b"\r\n",
+        b"NAME_SERVER set /reader accepts " + offers + b"\r\n",
+        b"NAME_SERVER set /reader ips 127.0.0.1\r\n",
+        b"NAME_SERVER set /reader process %d\r\n" % os.getpid(),
+    ]
+    assert set(offers.split()) < set(real[2].split())
+
+
+def test_connecting_two_ports_as_yarp_connect_does() -> None:
+    """The four exchanges that ``yarp connect /writer /reader`` had, byte for byte."""
+    with (
+        Scripted(*(script(TALKS[n]) for n in (17, 18))) as port,
+        Scripted(*(script(TALKS[n], port.port) for n in (15, 16))) as server,
+    ):
+        said = connections.connect(client(server.port), "/writer", "/reader")
+    assert said == "Added connection from /writer to tcp://reader"
+    assert [*server.heard, *port.heard] == [TALKS[n].said("C") for n in CONNECT]
+
+
+@pytest.mark.parametrize(
+    ("register", "command"),
+    [
+        (lambda n: n.register("..."), b"NAME_SERVER register ...\r\n"),
+        (lambda n: n.register(""), b"NAME_SERVER register ...\r\n"),
+        (lambda n: n.register("/p", "10.0.0.1", 10555), b"NAME_SERVER register /p tcp 10.0.0.1 10555\r\n"),
+        (lambda n: n.register("/p", port=10555), b"NAME_SERVER register /p tcp ... 10555\r\n"),
+        (lambda n: n.register("/p", "10.0.0.1"), b"NAME_SERVER register /p tcp 10.0.0.1 ...\r\n"),
+        (lambda n: n.register("/m", carrier="mcast"), b"NAME_SERVER register /m mcast ... ...\r\n"),
+    ],
+)
+def test_what_is_not_said_is_left_to_the_server(register: Callable[[NameClient], Any], command: bytes) -> None:
+    """Each of name, address and number may be left out."""
+    with Scripted([(1, b"*** end of message\r\n")]) as server, pytest.raises(NameRefusedError, match="did not take"):
+        register(client(server.port))
+    assert server.heard == [command]
+
+
+def test_yarp_ip(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``YARP_IP`` is an address of ours or its beginning."""
+    for said, host in (("127", b"127.0.0.1"), ("10.9.9.9", b"10.9.9.9")):
+        monkeypatch.setenv("YARP_IP", said)
+        command = b"NAME_SERVER register /p tcp %s ...\r\n" % host
+        with Scripted([(1, b"*** end of message\r\n")]) as server, pytest.raises(NameRefusedError):
+            client(server.port).register("/p")
+        assert server.heard == [command]
+
+
+def test_nobody_there() -> None:
+    """Nobody listens: an error at once that says where, and what to do."""
+    port = free_port()
+    with pytest.raises(NoNameServerError) as caught:
+        client(port).query("/p")
+    text = str(caught.value)
+    assert f"127.0.0.1 port {port}" in text
+    assert "refused" in text
+    assert "midspan yarp server" in text
+
+
+@pytest.mark.parametrize("answer", [b"registration name /p ip 127", b"registration name /p\r\nmore\r\n"])
+def test_closed_early(answer: bytes) -> None:
+    """An answer that stops is no answer."""
+    with Scripted([(1, answer), (0, b"")]) as server, pytest.raises(NoNameServerError, match="closed before"):
+        client(server.port).list()
+
+
+def test_silence_has_an_end() -> None:
+    """A name server that says nothing, or only a little again and again, costs the time limit and no more."""
+    with Scripted([(0, None)]) as server:
+        began = time.monotonic()
+        with pytest.raises(NoNameServerError, match=r"no answer within 0\.2 s"):
+            client(server.port, 0.2).query("/p")
+        assert time.monotonic() - began < 5.0
+
+
+def test_endless_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What never ends is cut."""
+    monkeypatch.setattr("yarp_compat.naming.client.MAX_ANSWER", 1000)
+    with Scripted([(1, b"x" * 5000)]) as server, pytest.raises(NoNameServerError, match="longer than 1000 bytes"):
+        client(server.port).list()
+
+
+def test_without_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Without yarp.conf the error names the file; with it, it is used; a new address is found without a new client."""
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("YARP_NAMESPACE", raising=False)
+    names = NameClient()
+    with pytest.raises(NoNameServerError, match=str(tmp_path / "yarp.conf")):
+        names.query("/p")
+    (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {free_port()} yarp\n")
+    with pytest.raises(NoNameServerError, match="does not answer"):
+        names.query("/p")
+    with Scripted([(1, b"*** end of message\r\n")]) as server:
+        (tmp_path / "yarp.conf").write_text(f"127.0.0.1 {server.port} yarp\n")
+        assert names.query("/p") is None
+    (tmp_path / "yarp.conf").write_text("nonsense\n")
+    with pytest.raises(ConfigError, match="expected '<address> <port> yarp'"):
+        NameClient().query("/p")
+
+
+def test_names_that_cannot_be() -> None:
+    """Bad names are refused before anybody is asked; addresses need nobody."""
+    names = client(free_port())
+    for name in ("two words", "/a\nb", '/a"b', "/" + "x" * 2000):
+        with pytest.raises(NameRefusedError, match="without spaces"):
+            names.register(name)
+        assert names.query(name) is None
+    with pytest.raises(NamingError, match="one line"):
+        names.set_property("/p", "key", "a\nb")
+    assert names.query("tcp://127.0.0.1:10002/p") == Contact("/p", "127.0.0.1", 10002, "tcp")
+    with pytest.raises(PortError, match="no port name"):
+        connections.connect(names, "reader", "/b")
+
+
+@pytest.mark.parametrize("greeting", [b"HTTP/1.1 400 Bad Request\r\n", b""])
+def test_what_is_no_port(greeting: bytes) -> None:
+    """Something else at a port's address."""
+    problem = "no YARP port: it says 'HTTP" if greeting else "closed before"
+    with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
+        connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
