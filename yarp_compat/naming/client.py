@@ -19,6 +19,9 @@ from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import Contact, is_name
 from yarp_compat.wire.text import from_text, plain_text, value_text
 
+Lines = list[str]
+Words = list[Any]  # under other names than that of the method below
+
 TIMEOUT = 5.0
 MAX_ANSWER = 32 << 20
 """Bytes of the largest answer that is taken: a list of ten thousand ports is 1 MB."""
@@ -61,6 +64,10 @@ class NameClient:
     def contact(self) -> Contact:
         """The name server's own port."""
         return self.address.contact(config.namespace())
+
+    def use(self, address: Address) -> None:
+        """Ask the name server at this address from now on, whatever yarp.conf says."""
+        self._given = address
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
         """Register a port, and say what a C++ port says of itself; see `Naming.register`."""
@@ -109,7 +116,7 @@ class NameClient:
         else:
             self.line(command)
 
-    def get_property(self, name: str, key: str) -> list[Any]:
+    def get_property(self, name: str, key: str) -> Sequence[Any]:
         """The values under a key of a port; see `Naming.get_property`."""
         return from_text(self.line(["bot", "get", name, key]))
 
@@ -117,12 +124,12 @@ class NameClient:
         """Say that a port listens now, or that it does not respond; see `Naming.announce`."""
         self.lines(["announce", name] if alive else ["announce", name, 0])
 
-    def lines(self, command: Sequence[Any]) -> list[str]:
+    def lines(self, command: Sequence[Any]) -> Lines:
         """Any command that is answered in lines; returns them without the end mark.
 
         An answer that is one Bottle, such as ``[ok]``, is returned as its line.
         """
-        answer: list[str] = []
+        answer: Lines = []
         with self._ask(_text(command) + b"\n") as peer:
             # a Bottle has no end mark; the commands answered by one are few and known
             single = self._is_single(command)
@@ -140,7 +147,7 @@ class NameClient:
             line = peer.line()
             return "" if line.startswith("*") else line
 
-    def command(self, words: Sequence[Any]) -> list[Any]:
+    def command(self, words: Sequence[Any]) -> Words:
         """Any command, answered as a Bottle: ``["bot", "list"]``, ``["subscribe", "/a", "/b"]``."""
         return from_text(self.line(words))
 
@@ -176,7 +183,7 @@ class NameClient:
         prefix = os.environ.get("YARP_IP", "")
         return next((ip for ip in self._own_addresses() if ip.startswith(prefix)), prefix) if prefix else ""
 
-    def _own_addresses(self) -> list[str]:
+    def _own_addresses(self) -> Lines:
         """Loopback, and the address by which the name server's network sees this machine."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             try:
@@ -186,7 +193,7 @@ class NameClient:
                 return ["127.0.0.1"]
         return sorted({"127.0.0.1", towards})
 
-    def _about(self) -> dict[str, list[Any]]:
+    def _about(self) -> dict[str, Words]:
         return {
             "offers": list(CARRIERS),
             "accepts": list(CARRIERS),
