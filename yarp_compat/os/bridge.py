@@ -12,8 +12,8 @@ from yarp_compat.wire.text import from_text
 
 log = logging.getLogger("yarp.os.Node")
 
-FOLDER = "/midspan"
-"""Below this name are the daemons' own ports."""
+FOLDER = "/midspan/daemon"
+"""Below this name each daemon has the port that answers."""
 
 MARK = "midspan_owner"
 """The property at the name server that tells them from others."""

@@ -1,0 +1,1 @@
+"""The YARP side: topics and ports are one thing."""

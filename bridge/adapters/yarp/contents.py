@@ -1,0 +1,83 @@
+"""What the configuration says of topics and ports, made ready for use."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bridge.config.sections.yarp import Topic, YarpSection
+from bridge.messages.registry import Registry
+from bridge.messages.yarp.codec import Codec
+from bridge.messages.yarp.contents import Content
+from bridge.messages.yarp.fields import Entry
+from bridge.messages.yarp.natural.kind import Missing
+from bridge.routing.patterns import glob_regex
+from yarp_compat.wire.profile import Profile
+
+BOTTLE = Content()
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignPort:
+    """A port of a YARP program that a rule names.
+
+    Attributes:
+        carrier: "" for the usual one.
+    """
+
+    port: str
+    topic: str
+    type: str
+    content: Content
+    carrier: str
+    latched: bool
+
+
+class Contents:
+    """The rules, by topic and port; and the converters that they need."""
+
+    def __init__(self, section: YarpSection, registry: Registry) -> None:
+        self.profile = Profile(section.profile)
+        self._section, self._registry = section, registry
+        self._own = [(glob_regex(rule.topic), rule) for rule in section.topics if rule.port is None]
+        foreign = [rule for rule in section.topics if rule.port is not None]
+        self.incoming = [self._foreign(rule) for rule in foreign if rule.direction == "in"]
+        self.outgoing = [self._foreign(rule) for rule in foreign if rule.direction == "out"]
+        self.declared: Sequence[Topic] = [rule for _, rule in self._own if rule.brings]
+        self._codecs: dict[tuple[str, str, Content, Profile], Codec] = {}
+        self._lock = threading.Lock()
+
+    def _foreign(self, rule: Topic) -> ForeignPort:
+        assert rule.port is not None
+        content = self._content(rule)
+        return ForeignPort(rule.port, rule.topic, rule.type or "", content, rule.carrier or "", rule.latched)
+
+    def _content(self, rule: Topic) -> Content:
+        return Content(
+            rule.form or self._section.as_,
+            tuple(Entry.parse(entry) for entry in rule.fields),
+            Profile(rule.profile or self._section.profile),
+            Missing(rule.frame, rule.child_frame, rule.joints),
+        )
+
+    def of(self, topic: str) -> Content:
+        """What the ports of a topic carry."""
+        rule = next((rule for pattern, rule in self._own if pattern.fullmatch(topic)), None)
+        return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)
+
+    def latched(self, topic: str) -> bool:
+        """Whether the last message from YARP is kept for late joiners."""
+        return any(rule.latched for pattern, rule in self._own if pattern.fullmatch(topic))
+
+    def codec(self, content: Content, type_name: str, type_hash: str, profile: Profile) -> Codec:
+        """The converter of a type; raises `MessageTypeError`."""
+        key = (type_name, type_hash, content, profile)
+        with self._lock:
+            known = self._codecs.get(key)
+            if known is None:
+                known = Content(content.form, content.fields, profile, content.missing).codec(
+                    self._registry, type_name, type_hash
+                )
+                self._codecs[key] = known
+            return known

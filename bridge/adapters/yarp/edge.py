@@ -1,0 +1,390 @@
+"""The edge of the YARP side: joins one YARP network, ours or the site's.
+
+One thread, the clerk, asks the name server and opens, closes and connects ports; nothing else waits for anybody.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from bridge.adapters.base import (
+    Deliver,
+    Edge,
+    EdgeListener,
+    EdgePublisher,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+    Sighting,
+)
+from bridge.adapters.keep import keep
+from bridge.adapters.yarp.contents import Contents
+from bridge.adapters.yarp.graph import Graph
+from bridge.adapters.yarp.names import PRESENCE, PortNames
+from bridge.adapters.yarp.network import YarpNetwork
+from bridge.adapters.yarp.outlet import TopicOutput, TopicPublisher
+from bridge.adapters.yarp.plan import Wanted, make_plan
+from bridge.adapters.yarp.ports import OwnPorts
+from bridge.adapters.yarp.presence import Presence
+from bridge.config.model import Config
+from bridge.hub.origin import Origin
+from bridge.hub.qos import Durability, Qos
+from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+from bridge.messages.text import full_text
+from bridge.messages.yarp.codec import is_stamped
+from yarp_compat.naming.errors import NamingError
+
+_log = logging.getLogger(__name__)
+
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_SETTLE = 0.02
+_MARK_AGAIN = 3.0
+"""Seconds after the name server's return for which ports may be registered without their marks."""
+
+_AWAKE = 2.0
+
+
+class YarpEdge(Edge):
+    """Joins a YARP network."""
+
+    side: ClassVar[str] = "yarp"
+
+    def __init__(self, config: Config, registry: Registry, state: Path) -> None:
+        section = config.yarp
+        self._config, self._registry = config, registry
+        self._poll = section.poll
+        self._names = PortNames(section.output, section.input)
+        self._contents = Contents(section, registry)
+        self._network = YarpNetwork(section, state)
+        self._owner = _owner(state / "yarp_owner")
+        self._graph = Graph(registry)
+        self._ports = OwnPorts(
+            self._network.naming,
+            self._owner,
+            config.name,
+            self._contents,
+            self._graph,
+            self._refused,
+            self._wake_up,
+            config.limits.message_bytes,
+            section.ip,
+            self._awake,
+        )
+        self._presence = Presence(
+            self._owner, config.name, self._network.naming, registry, self._presence_changed, self._wake_up, section.ip
+        )
+        self._lock = threading.Lock()
+        self._outputs: dict[str, TopicOutput] = {}
+        self._heard: dict[tuple[str, str], _Subscription] = {}
+        self._listener: EdgeListener | None = None
+        self._away = True
+        self._mark_until = 0.0
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._clerk = threading.Thread(target=self._run, name="midspan-yarp-clerk", daemon=True)
+
+    # -- life ----------------------------------------------------------------------------------------------------------
+
+    def start(self, listener: EdgeListener) -> None:
+        """Join the network when its name server answers."""
+        self._listener = listener
+        self._clerk.start()
+
+    def stop(self) -> None:
+        """Give back everything; see `Edge.stop`."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        self._wake.set()
+        if self._clerk.is_alive():
+            self._clerk.join(3.0)
+        self._ports.stop()
+        self._presence.close()
+        self._network.close()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                self._turn()
+            except (NamingError, OSError) as err:
+                self._network.trouble = str(err)
+                _log.debug("yarp: %s", err)
+            except Exception:
+                _log.exception("yarp: following the network failed")
+            self._wake.wait(self._poll)
+            self._wake.clear()
+            self._stopping.wait(_SETTLE)
+
+    def _turn(self) -> None:
+        started = time.monotonic()
+        before = self._network.identity
+        contacts = self._network.look()
+        if contacts is None:
+            self._away = True
+            return
+        found = {contact.name: contact for contact in contacts}
+        if not self._presence.is_open:
+            self._ports.bury(found, self._names)
+            self._presence.open()
+        if self._away or started < self._mark_until:
+            self._mark_until = started + _MARK_AGAIN if self._away else self._mark_until
+            self._away = False
+            self._presence.mark()
+            self._ports.mark_again()
+        else:
+            self._ports.mark_again(found)
+        changed = self._graph.update(self._network.naming, contacts, self._ports.peers())
+        self._presence.look(self._graph.contacts, started)
+        self._follow()
+        if (changed or before != self._network.identity) and self._listener is not None:
+            self._listener.graph_changed()
+
+    def _follow(self) -> None:
+        """Have the ports that what is routed needs."""
+        with self._lock:
+            outputs, heard = dict(self._outputs), dict(self._heard)
+        plan = make_plan(
+            [self._wanted(topic, output.side_type) for topic, output in outputs.items()],
+            [self._wanted(subscription.topic, subscription.side_type) for subscription in heard.values()],
+            self._contents,
+            self._names,
+            self._graph,
+        )
+        self._ports.follow(plan, outputs)
+        for inlet in self._ports.inlets():
+            subscription = heard.get((inlet.topic, inlet.type))
+            inlet.hear(None if subscription is None else subscription.deliver)
+        self._ports.connect()
+
+    def _wanted(self, topic: str, side_type: SideType) -> Wanted:
+        known = self._registry.ros2(side_type.name).type_id
+        return Wanted(topic, side_type.name, "" if side_type.type_id == known else side_type.type_id)
+
+    def _wake_up(self) -> None:
+        self._wake.set()
+        if self._listener is not None:
+            self._listener.graph_changed()
+
+    def _presence_changed(self) -> None:
+        if self._listener is not None:
+            self._listener.presence_changed()
+
+    def _refused(self, topic: str, reason: str, why: str) -> None:
+        if self._listener is not None:
+            self._listener.message_refused(topic, reason, why)
+
+    # -- the network ---------------------------------------------------------------------------------------------------
+
+    def network(self) -> str | None:
+        """The network's name, which stands at its name server; it stays while that one is away."""
+        return self._network.identity if self._presence.is_open else None
+
+    def is_own_network(self, origin: Origin) -> bool:
+        """See `Edge.is_own_network`."""
+        return origin.side == self.side and origin.network == self._network.identity
+
+    def announce(self, record: bytes) -> None:
+        """See `Edge.announce`."""
+        self._presence.announce(record)
+
+    def sightings(self) -> Sequence[Sighting]:
+        """See `Edge.sightings`."""
+        return self._presence.sightings()
+
+    def settled(self, since: float) -> bool:
+        """See `Edge.settled`: the name server was asked for all since then."""
+        if self._presence.is_open and self._presence.settled(since):
+            return True
+        self._wake.set()
+        return False
+
+    def _awake(self, owner: str) -> bool:
+        now = time.monotonic()
+        return any(s.id == PRESENCE + owner and now - s.heard < _AWAKE for s in self._presence.sightings())
+
+    def warnings(self) -> list[str]:
+        """The name server that is away, ports that cannot be opened or connected, types that are unknown."""
+        away = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
+        untyped = [
+            f"{node.port} does not tell its type; give one: yarp.topics, topic {node.topic}"
+            for node in self._graph.nodes
+            if not self._type_of(node.topic, node.type)
+        ]
+        return [*away, *self._ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
+
+    # -- the graph -----------------------------------------------------------------------------------------------------
+
+    def endpoints(self) -> Sequence[Endpoint]:
+        """Ports that rules name, ports of topics that anybody writes to, and ports opened as ``/topic@/node``."""
+        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers()]
+
+    def _declared(self) -> list[Endpoint]:
+        return [
+            self._endpoint(name := self._names.input(rule.topic), Kind.PUBLISHER, rule.topic, rule.type or "", name)
+            for rule in self._contents.declared
+        ]
+
+    def _foreign(self) -> list[Endpoint]:
+        ports = [(Kind.PUBLISHER, port) for port in self._contents.incoming]
+        ports += [(Kind.SUBSCRIPTION, port) for port in self._contents.outgoing]
+        return [
+            self._endpoint(port.port, kind, port.topic, port.type, port.port, latched=port.latched)
+            for kind, port in ports
+            if self._graph.is_there(port.port)
+        ]
+
+    def _of_nodes(self) -> list[Endpoint]:
+        return [
+            self._endpoint(
+                node.port,
+                Kind.PUBLISHER if node.publishes else Kind.SUBSCRIPTION,
+                node.topic,
+                type_name,
+                node.node,
+                latched=node.latched,
+            )
+            for node in self._graph.nodes
+            if self._graph.is_there(node.port) and (type_name := self._type_of(node.topic, node.type))
+        ]
+
+    def _of_writers(self) -> list[Endpoint]:
+        found = []
+        for plan, peers in self._ports.inputs():
+            if plan.source is None:
+                found += [
+                    self._endpoint(peer, Kind.PUBLISHER, plan.topic, plan.type, peer, made_by, type_id=plan.type_hash)
+                    for peer in peers
+                    if (made_by := self._ports.made_by(peer)) is not MadeBy.MIDSPAN
+                ]
+        return found
+
+    def _endpoint(
+        self,
+        name: str,
+        kind: Kind,
+        topic: str,
+        type_name: str,
+        node: str,
+        made_by: MadeBy = MadeBy.NATIVE,
+        *,
+        latched: bool = False,
+        type_id: str = "",
+    ) -> Endpoint:
+        qos = _LATCHED if latched or self._contents.latched(topic) else Qos()
+        return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
+
+    def _type_of(self, topic: str, told: str) -> str:
+        """The type of a port of a node: its own, else that of the topic as a rule or a route has it."""
+        if told:
+            return told
+        rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)
+        if rule is not None and rule.type is not None:
+            return rule.type
+        output = self._outputs.get(topic)
+        return "" if output is None else output.side_type.name
+
+    # -- types ---------------------------------------------------------------------------------------------------------
+
+    def to_hub(self, endpoint: Endpoint) -> Conversion:
+        """The edge itself converts what comes: each port may carry something else."""
+        known = self._side_type(endpoint.type, endpoint.type_id)
+        return Conversion(known, known, None)
+
+    def from_hub(self, type_name: str, type_hash: str) -> Conversion:
+        """The message is checked; what each port carries is made of it when it is written."""
+        known = self._side_type(type_name, type_hash)
+        return Conversion(known, known, self._registry.hub_check(type_name, type_hash))
+
+    def _side_type(self, type_name: str, type_hash: str) -> SideType:
+        if type_hash:
+            schema = self._registry.schema(type_name, type_hash)
+            return SideType(type_name, type_hash, full_text(schema))
+        return self._registry.ros2(type_name)
+
+    def learn(self, type_name: str, definition: str) -> None:
+        """See `Edge.learn`."""
+        self._registry.learn_ros2(type_name, definition)
+
+    # -- endpoints of ours ---------------------------------------------------------------------------------------------
+
+    def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
+        """Hear a topic's ports."""
+        subscription = _Subscription(self, topic, side_type, deliver)
+        with self._lock:
+            self._heard[topic, side_type.name] = subscription
+        for inlet in self._ports.inlets():
+            if (inlet.topic, inlet.type) == (topic, side_type.name):
+                inlet.hear(deliver)
+        self._wake.set()
+        return subscription
+
+    def unsubscribe(self, subscription: _Subscription) -> None:
+        """A subscription is closed."""
+        key = subscription.topic, subscription.side_type.name
+        with self._lock:
+            if self._heard.get(key) is not subscription:
+                return
+            del self._heard[key]
+        for inlet in self._ports.inlets():
+            if (inlet.topic, inlet.type) == key:
+                inlet.hear(None)
+        self._wake.set()
+
+    def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
+        """Publish a topic; its ports are opened as soon as the name server takes them."""
+        content = self._contents.of(topic)
+        known = self._wanted(topic, side_type)
+        self._contents.codec(content, side_type.name, known.type_hash, content.profile)
+        with self._lock:
+            output = self._outputs.get(topic)
+            if output is None:
+                stamped = is_stamped(self._registry.schema(side_type.name, known.type_hash))
+                output = self._outputs[topic] = TopicOutput(topic, side_type, stamped, self._contents)
+            elif output.side_type != side_type:
+                msg = f"{topic} is {output.side_type.name} on YARP already"
+                raise MessageTypeError(msg, "rename one of the topics by a rule")
+            publisher = output.publisher(qos, self._closed)
+        self._wake.set()
+        return publisher
+
+    def _closed(self, publisher: TopicPublisher) -> None:
+        output = publisher.output
+        with self._lock:
+            if output.remove(publisher) and self._outputs.get(output.topic) is output:
+                del self._outputs[output.topic]
+        self._wake.set()
+
+
+class _Subscription:
+    """See `EdgeSubscription`."""
+
+    lost = 0
+
+    def __init__(self, edge: YarpEdge, topic: str, side_type: SideType, deliver: Deliver) -> None:
+        self._edge = edge
+        self.topic, self.side_type, self.deliver = topic, side_type, deliver
+
+    def close(self) -> None:
+        """Stop delivering. Safe to call twice."""
+        self._edge.unsubscribe(self)
+
+
+def _owner(file: Path) -> str:
+    """The id of this daemon's YARP worker, the same after a restart."""
+    try:
+        known = file.read_text().strip()
+    except OSError:
+        known = ""
+    if len(known) != 12 or not known.isalnum():
+        known = uuid.uuid4().hex[:12]
+        keep(file, known + "\n", "ports that a killed worker leaves at the name server will stay there for a while")
+    return known

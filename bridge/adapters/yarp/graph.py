@@ -1,0 +1,191 @@
+"""What is on the YARP network, as far as it concerns topics: ports of ROS-like names, and those that rules name."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bridge.adapters.base import MadeBy
+from bridge.adapters.yarp.names import OWNER, PRESENCE
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.names import is_ros1_name, is_ros2_name
+from bridge.messages.registry import Registry
+from yarp_compat.naming import connections, talk
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.errors import NamingError, PortError
+from yarp_compat.os.nested import PUBLISHER, NestedName
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.values import Vocab
+
+_log = logging.getLogger(__name__)
+
+_ASK_SECONDS = 1.0
+_AGAIN = 2.0
+"""Seconds after which a port that did not answer is tried again."""
+
+_UNTYPED = 5.0
+"""Seconds for which a port without a type may still tell it."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodePort:
+    """A port that a YARP program opened as ``/topic@/node``.
+
+    Attributes:
+        type: ROS 2 name of its type, "" where it is not told.
+        publishes: it writes; else it reads.
+        latched: it sends its last message to whoever connects.
+    """
+
+    port: str
+    topic: str
+    node: str
+    type: str
+    publishes: bool
+    latched: bool
+
+
+@dataclass(slots=True)
+class _Known:
+    contact: Contact
+    since: float
+    made_by: MadeBy = MadeBy.UNKNOWN
+    type: str | None = None
+    latched: bool = False
+    read: bool = False
+
+
+class Graph:
+    """Follows the name server's list; one thread calls `update`, the others read what it left.
+
+    Args:
+        registry: of types.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self._known: dict[str, _Known] = {}
+        self._dead: dict[str, tuple[Contact, float]] = {}
+        self._strangers: frozenset[str] = frozenset()
+        self.contacts: Mapping[str, Contact] = {}
+        self.nodes: Sequence[NodePort] = ()
+        self.trouble: Mapping[str, str] = {}
+
+    def update(self, naming: NameClient, contacts: Iterable[Contact], peers: Iterable[str]) -> bool:
+        """Take up a new list; ``peers``: ports that are connected to ours. Returns whether anything changed."""
+        self.contacts = {contact.name: contact for contact in contacts}
+        peers = frozenset(peers)
+        self._strangers = peers - self.contacts.keys()
+        self._known = {name: known for name, known in self._known.items() if self.contacts.get(name) == known.contact}
+        self._revive()
+        before = self.nodes, self._makers(), frozenset(self._dead)
+        nodes, trouble = [], dict[str, str]()
+        for name in [*self.contacts, *peers]:
+            nested = NestedName.parse(name) if "@" in name else None
+            if nested is not None and nested.is_topic and name in self.contacts:
+                known = self._look_at(naming, name)
+                if known.made_by is MadeBy.NATIVE:
+                    nodes.append(self._node(name, nested, known, trouble))
+            elif name in peers and name in self.contacts:
+                self._look_at(naming, name)
+        self.nodes, self.trouble = nodes, trouble
+        return before != (self.nodes, self._makers(), frozenset(self._dead))
+
+    def _makers(self) -> dict[str, MadeBy]:
+        return {name: known.made_by for name, known in self._known.items()}
+
+    def forget(self, name: str) -> None:
+        """A port's connection ended: when it is there again, it may be another one."""
+        self._known.pop(name, None)
+
+    # -- who made a port -----------------------------------------------------------------------------------------------
+
+    def made_by(self, name: str) -> MadeBy:
+        """Who made a port; one that is not registered is no bridge's."""
+        if name.startswith(PRESENCE):
+            return MadeBy.MIDSPAN
+        if name not in self.contacts:
+            return MadeBy.NATIVE if name in self._strangers or not name.startswith("/") else MadeBy.UNKNOWN
+        known = self._known.get(name)
+        return MadeBy.UNKNOWN if known is None else known.made_by
+
+    def is_there(self, name: str) -> bool:
+        """Whether a port is registered and, as far as is known, alive."""
+        return name in self.contacts and name not in self._dead
+
+    def died(self, name: str) -> None:
+        """A port that is registered cannot be reached."""
+        contact = self.contacts.get(name)
+        if contact is not None:
+            self._dead[name] = contact, time.monotonic() + _AGAIN
+
+    def _revive(self) -> None:
+        now = time.monotonic()
+        for name, (contact, again) in list(self._dead.items()):
+            if self.contacts.get(name) != contact:
+                del self._dead[name]
+            elif now >= again:
+                if connections.responds(contact, timeout=_ASK_SECONDS):
+                    del self._dead[name]
+                else:
+                    self._dead[name] = contact, time.monotonic() + _AGAIN
+
+    def _look_at(self, naming: NameClient, name: str) -> _Known:
+        known = self._known.get(name)
+        if known is None:
+            known = self._known[name] = _Known(self.contacts[name], time.monotonic())
+        if known.made_by is MadeBy.UNKNOWN:
+            known.made_by = MadeBy.MIDSPAN if naming.get_property(name, OWNER) else MadeBy.NATIVE
+        nested = "@" in name and known.made_by is MadeBy.NATIVE
+        if nested and not known.type and (not known.read or time.monotonic() - known.since < _UNTYPED):
+            known.read = True
+            known.type = self._type_of(naming, known.contact)
+            known.latched = str((naming.get_property(name, "latched") or [""])[0]).lower() in ("true", "1")
+        return known
+
+    # -- topics --------------------------------------------------------------------------------------------------------
+
+    def _node(self, name: str, nested: NestedName, known: _Known, trouble: dict[str, str]) -> NodePort:
+        told, type_name = known.type or "", ""
+        try:
+            type_name = self._ros2(told) if told else ""
+        except MessageTypeError as err:
+            trouble[name] = f"{name}: {err}" + (f"; {err.cure}" if err.cure else "")
+        return NodePort(name, nested.topic, nested.node, type_name, nested.role == PUBLISHER, known.latched)
+
+    def _ros2(self, told: str) -> str:
+        if is_ros2_name(told):
+            return told
+        if is_ros1_name(told):
+            return self._registry.ros1_to_hub(told).target.name
+        msg = f"its type {told[:80]!r} is no type of ROS"
+        raise MessageTypeError(msg)
+
+    @staticmethod
+    def _type_of(naming: NameClient, contact: Contact) -> str:
+        """A port's type as it tells at the name server, or when it is asked."""
+        told = naming.get_property(contact.name, "type")
+        if told:
+            return str(told[0])
+        try:
+            answer = talk.admin(contact, [Vocab("prop"), Vocab("get"), contact.name], _ASK_SECONDS)
+        except (PortError, NamingError):
+            return ""
+        return str(_find(_find(answer, "port"), "type") or "")
+
+
+def _find(values: Any, key: str) -> Any:
+    """What stands behind a key in YARP's lists of lists."""
+    if isinstance(values, dict):
+        return values.get(key)
+    if not isinstance(values, list | tuple):
+        return None
+    for value in values:
+        if isinstance(value, list | tuple) and len(value) == 2 and value[0] == key:
+            return value[1]
+        if isinstance(value, list | dict) and len(values) == 1:
+            return _find(value, key)
+    return None

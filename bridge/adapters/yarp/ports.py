@@ -1,0 +1,306 @@
+"""The bridge's own ports on a YARP network: opened and closed as planned, and connected with whom they should be."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from bridge.adapters.base import MadeBy
+from bridge.adapters.yarp.contents import Contents
+from bridge.adapters.yarp.graph import Graph
+from bridge.adapters.yarp.inlet import Inlet
+from bridge.adapters.yarp.names import DAEMON, OWNER, PortNames
+from bridge.adapters.yarp.outlet import Outlet, TopicOutput
+from bridge.adapters.yarp.plan import Link, PortPlan
+from bridge.messages.errors import MessageTypeError
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.errors import NamingError
+from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.contact import Contact
+
+_log = logging.getLogger(__name__)
+
+_THREADS = 8
+_CONNECT_SECONDS = 2.0
+_AGAIN = 2.0
+"""Seconds after which what failed is tried again."""
+
+_STOP_SECONDS = 1.5
+
+
+@dataclass(eq=False)
+class Own:
+    """One port that is open."""
+
+    plan: PortPlan
+    core: PortCore
+    inlet: Inlet | None
+    output: TopicOutput | None
+    links: Mapping[str, Link]
+    due: dict[str, float] = field(default_factory=dict)
+    making: dict[str, Future[bool]] = field(default_factory=dict)
+
+
+class OwnPorts:
+    """Opens, connects and closes ports; one thread calls it, but for `inlets` and `peers`.
+
+    Args:
+        naming: the name server.
+        owner: id of this worker.
+        daemon: the daemon's name.
+        contents: the converters.
+        graph: the network.
+        refused: told of messages that are none.
+        changed: called when a connection came or went.
+        limit: bytes of the largest message.
+        ip: address to listen on, None for the usual one.
+        awake: tells whether another worker of Midspan's is there and not standing still.
+    """
+
+    def __init__(
+        self,
+        naming: NameClient,
+        owner: str,
+        daemon: str,
+        contents: Contents,
+        graph: Graph,
+        refused: Callable[[str, str, str], None],
+        changed: Callable[[], None],
+        limit: int,
+        ip: str | None,
+        awake: Callable[[str], bool],
+    ) -> None:
+        self._awake = awake
+        self._naming, self._owner, self._daemon = naming, owner, daemon
+        self._contents, self._graph = contents, graph
+        self._refused, self._changed = refused, changed
+        self._limit, self._ip = limit, ip
+        self._own: dict[str, Own] = {}
+        self._trouble: dict[str, tuple[float, str]] = {}
+        self._pool = ThreadPoolExecutor(_THREADS, "midspan-yarp-links")
+
+    # -- what there is -------------------------------------------------------------------------------------------------
+
+    def inlets(self) -> list[Inlet]:
+        """The input ports."""
+        return [own.inlet for own in list(self._own.values()) if own.inlet is not None]
+
+    def inputs(self) -> list[tuple[PortPlan, list[str]]]:
+        """The topics' own input ports, each with the ports that are connected to it."""
+        return [
+            (own.plan, [route.source for route in own.core.inputs()])
+            for own in list(self._own.values())
+            if own.inlet is not None and own.plan.own
+        ]
+
+    def peers(self) -> set[str]:
+        """All ports that bring messages."""
+        return {route.source for own in list(self._own.values()) if own.inlet for route in own.core.inputs()}
+
+    def is_ours(self, name: str) -> bool:
+        """Whether this worker opened a port."""
+        return name in self._own
+
+    def warnings(self) -> list[str]:
+        """What cannot be opened or connected."""
+        return sorted(text for _, text in list(self._trouble.values()))
+
+    # -- what there should be ------------------------------------------------------------------------------------------
+
+    def follow(self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput]) -> None:
+        """Make the ports those of the plan."""
+        gone = [name for name, own in self._own.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
+        self._close([self._own.pop(name) for name in gone])
+        now = time.monotonic()
+        self._trouble = {name: why for name, why in self._trouble.items() if name.partition(" ")[0] in plan}
+        for name, port in plan.items():
+            own = self._own.get(name)
+            if own is not None:
+                own.links = port.links
+            elif now >= self._trouble.get(name, (0.0, ""))[0]:
+                self._open(port, outputs.get(port.topic))
+
+    @staticmethod
+    def _stale(own: Own, outputs: Mapping[str, TopicOutput]) -> bool:
+        return own.output is not None and outputs.get(own.plan.topic) is not own.output
+
+    def _open(self, port: PortPlan, output: TopicOutput | None) -> None:
+        if port.writes and output is None:
+            return
+        try:
+            self._take_name(port.name)
+            own = self._made(port, output)
+            own.core.open()
+            # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
+            self._naming.set_property(port.name, OWNER, self._owner)
+        except (OSError, MessageTypeError) as err:
+            self._trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
+            return
+        self._trouble.pop(port.name, None)
+        self._own[port.name] = own
+        if output is not None and port.writes:
+            output.add(Outlet(own.core, port.content))
+
+    def _take_name(self, name: str) -> None:
+        """Refuse a name that another program has; one that a dead or other worker of ours left is taken over."""
+        known = self._naming.query(name)
+        if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
+            return
+        owner = [str(value) for value in self._naming.get_property(name, OWNER)]
+        if owner != [self._owner] and (not owner or self._awake(owner[0])):
+            msg = "another program has a port of this name; choose other names with yarp.output and yarp.input"
+            raise NamingError(msg)
+
+    def _made(self, port: PortPlan, output: TopicOutput | None) -> Own:
+        side, profile = port.type, port.content.profile
+        if port.writes:
+            self._contents.codec(port.content, side, port.type_hash, profile)  # tells at once what cannot be said
+            core = self._core(port, None)
+            return Own(port, core, None, output, port.links)
+        codec = self._contents.codec(port.content, side, port.type_hash, profile)
+        only = None if port.own else self._linked(port.name)
+        inlet = Inlet(port.name, port.topic, side, codec, only, port.source, self.made_by, self._refused)
+        return Own(port, self._core(port, inlet), inlet, None, port.links)
+
+    def _linked(self, name: str) -> Callable[[str], bool]:
+        def is_linked(peer: str) -> bool:
+            own = self._own.get(name)
+            return own is not None and peer in own.links
+
+        return is_linked
+
+    def made_by(self, name: str) -> MadeBy:
+        """Who made a port."""
+        return MadeBy.MIDSPAN if name in self._own else self._graph.made_by(name)
+
+    def _core(self, port: PortPlan, inlet: Inlet | None) -> PortCore:
+        core = PortCore(
+            port.name,
+            on_message=inlet.on_message if inlet is not None else None,
+            naming=self._naming,
+            type_name="",
+            limit=self._limit,
+            host=self._ip,
+            profile=port.content.profile,
+            is_input=not port.writes,
+            is_output=port.writes,
+        )
+        core.on_event = lambda event: self._on_event(core, event)
+        return core
+
+    def _on_event(self, core: PortCore, event: ConnectionEvent) -> None:
+        own = self._own.get(core.name)
+        if own is not None and event.up and not event.incoming:
+            target = event.route.target
+            link = own.links.get(target)
+            if link is not None and link.profile is not None:
+                for output in core.connections.outputs:
+                    if output.route.target == target:
+                        output.profile = link.profile
+            if own.output is not None:
+                own.output.welcome(core, target)
+        elif own is not None and event.up:
+            link = own.links.get(event.route.source)
+            if link is not None and link.profile is not None:
+                for one in core.connections.inputs:
+                    if one.route.source == event.route.source:
+                        one.profile = link.profile
+        elif not event.up:
+            self._graph.forget(event.route.source if event.incoming else event.route.target)
+        self._changed()
+
+    def mark_again(self, contacts: Mapping[str, Contact] | None = None) -> None:
+        """Register and mark the ports that a name server forgot; None: mark all that there are."""
+        for name, own in self._own.items():
+            if contacts is None or name not in contacts:
+                own.core.register_again()
+                self._naming.set_property(name, OWNER, self._owner)
+
+    def bury(self, contacts: Mapping[str, Contact], names: PortNames) -> None:
+        """Remove what a dead predecessor of this worker left at the name server."""
+        for name, contact in contacts.items():
+            if not names.may_be(name) or name in self._own:
+                continue
+            owner = [str(value) for value in self._naming.get_property(name, OWNER)]
+            if owner == [self._owner] and not connections.responds(contact, timeout=_CONNECT_SECONDS):
+                self._naming.unregister(name)
+
+    # -- connections ---------------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Make the connections that are missing; those that take long are made meanwhile."""
+        now = time.monotonic()
+        for name, own in self._own.items():
+            if not own.links:
+                continue
+            linked = (
+                {r.target for r in own.core.outputs()} if own.plan.writes else {r.source for r in own.core.inputs()}
+            )
+            for peer, link in own.links.items():
+                key = f"{name} {peer}"
+                if peer in linked:
+                    self._trouble.pop(key, None)
+                elif peer not in self._graph.contacts:
+                    self._trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
+                elif peer not in own.making and now >= own.due.get(peer, 0.0):
+                    own.due[peer] = now + _AGAIN
+                    own.making[peer] = self._pool.submit(self._link, own, peer, link)
+            for peer in [peer for peer, future in own.making.items() if future.done()]:
+                del own.making[peer]
+
+    def _link(self, own: Own, peer: str, link: Link) -> bool:
+        key, problem = f"{own.core.name} {peer}", ""
+        try:
+            if self._naming.get_property(peer, OWNER):
+                problem = f"{peer} is a port of Midspan's; what it carries is not taken up again"
+            elif own.plan.writes:
+                done, told = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
+                problem = "" if done else f"{own.core.name}: {told}"
+            else:
+                connections.connect(self._naming, peer, own.core.name, link.carrier, timeout=_CONNECT_SECONDS)
+            if not problem and "@" in peer:
+                self._naming.set_property(peer, DAEMON, self._daemon)
+        except OSError as err:
+            problem = str(err)
+            self._graph.died(peer)
+        if problem:
+            self._trouble[key] = 0.0, problem
+        else:
+            self._trouble.pop(key, None)
+        self._changed()
+        return not problem
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def clear(self) -> None:
+        """Close all ports."""
+        owns = list(self._own.values())
+        self._own.clear()
+        self._close(owns)
+
+    def _close(self, owns: list[Own]) -> None:
+        for own in owns:
+            if own.output is not None:
+                own.output.drop(own.core)
+            if own.inlet is not None:
+                own.inlet.hear(None)
+        ends = [self._pool.submit(own.core.close) for own in owns]
+        deadline = time.monotonic() + _STOP_SECONDS
+        for end in ends:
+            try:
+                end.result(max(0.0, deadline - time.monotonic()))
+            except TimeoutError:
+                _log.warning("closing ports takes long; they are left to themselves")
+                return
+            except Exception:
+                _log.exception("closing a port failed")
+
+    def stop(self) -> None:
+        """Close everything."""
+        self.clear()
+        self._pool.shutdown(wait=True, cancel_futures=True)

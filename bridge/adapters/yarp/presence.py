@@ -1,0 +1,169 @@
+"""Midspan's workers on one YARP network: who they are, and what they tell each other.
+
+Each has a port ``/midspan/daemon/<id>`` and connects to all others'. Whoever dies is gone with his connections; one
+that stands still keeps them. The same port answers YARP programs: ``definition std_msgs/String``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from bridge.adapters.base import Sighting
+from bridge.adapters.yarp.names import DAEMON, OWNER, PRESENCE
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
+from yarp_compat.naming.client import NameClient
+from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+_log = logging.getLogger(__name__)
+
+_MAX_RECORD = 1 << 20
+_AGAIN = 2.0
+
+
+class Presence:
+    """This worker's port, and what is heard of the others.
+
+    Args:
+        own: id of this worker.
+        daemon: the daemon's name.
+        naming: the name server.
+        registry: for those who ask for definitions.
+        changed: called when a worker came, left or told something.
+        wake: has `look` be called soon.
+        ip: address to listen on, None for the usual one.
+    """
+
+    def __init__(
+        self,
+        own: str,
+        daemon: str,
+        naming: NameClient,
+        registry: Registry,
+        changed: Callable[[], None],
+        wake: Callable[[], None],
+        ip: str | None,
+    ) -> None:
+        self._daemon, self._own, self._registry = daemon, own, registry
+        self._changed, self._wake = changed, wake
+        self._naming = naming
+        self._lock = threading.Lock()
+        self._seen: dict[str, Sighting] = {}
+        self._tried: dict[str, tuple[Contact, float]] = {}
+        self._looked_since = 0.0
+        self._core = PortCore(
+            PRESENCE + own, naming=naming, on_message=self._on_message, on_event=self._on_event, host=ip
+        )
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._core.is_open
+
+    def open(self) -> None:
+        """Come onto the network; raises `NamingError` or `OSError`."""
+        self._core.open()
+        self.mark()
+
+    def mark(self) -> None:
+        """Tell the name server whose port it is."""
+        self._naming.set_property(self._core.name, OWNER, self._own)
+        self._naming.set_property(self._core.name, DAEMON, self._daemon)
+
+    def look(self, contacts: Mapping[str, Contact], started: float) -> None:
+        """Find the others in the name server's list, which was asked for at ``started``."""
+        others = {name: c for name, c in contacts.items() if name.startswith(PRESENCE) and name != self._core.name}
+        out = {route.target for route in self._core.outputs()}
+        now = time.monotonic()
+        for name, contact in others.items():
+            known, again = self._tried.get(name, (None, 0.0))
+            if name in out or (known == contact and now < again):
+                continue
+            self._tried[name] = contact, now + _AGAIN
+            if self._core.add_output(name)[0]:
+                self._see(name, None)
+        self._tried = {name: tried for name, tried in self._tried.items() if name in others}
+        with self._lock:
+            self._looked_since = max(self._looked_since, started)
+
+    def announce(self, record: bytes) -> None:
+        """Tell all others; never waits."""
+        if self._core.is_open:
+            self._core.write(lambda profile: encode([record], profile))
+
+    def sightings(self) -> list[Sighting]:
+        """The others that are there."""
+        with self._lock:
+            return list(self._seen.values())
+
+    def settled(self, since: float) -> bool:
+        """Whether all that were there at ``since`` are seen."""
+        with self._lock:
+            return self._looked_since >= since
+
+    def close(self) -> None:
+        """Leave."""
+        self._core.close()
+
+    # -- what comes ----------------------------------------------------------------------------------------------------
+
+    def _on_event(self, event: ConnectionEvent) -> None:
+        other = event.route.source if event.incoming else event.route.target
+        if not other.startswith(PRESENCE):
+            return
+        if event.up:
+            self._see(other, None)
+            self._wake()  # to connect the other way too
+            return
+        linked = {r.source for r in self._core.inputs()} | {r.target for r in self._core.outputs()}
+        self._tried.pop(other, None)
+        with self._lock:
+            gone = other not in linked and self._seen.pop(other, None) is not None
+        if gone:
+            self._changed()
+
+    def _on_message(self, message: Message) -> None:
+        source = message.peer.route.source
+        if message.wants_reply:
+            with contextlib.suppress(WireError):
+                message.reply(encode(self._answer(message), message.peer.profile or Profile.YARP3))
+            return
+        try:
+            values = decode(message.payload, message.peer.profile)
+        except WireError:
+            return
+        match values:
+            case [bytes(record)] if source.startswith(PRESENCE) and len(record) <= _MAX_RECORD:
+                self._see(source, record)
+
+    def _see(self, name: str, record: bytes | None) -> None:
+        with self._lock:
+            known = self._seen.get(name)
+            if known is not None and record is None:
+                return
+            self._seen[name] = Sighting(name, record, time.monotonic())
+        self._changed()
+
+    def _answer(self, message: Message) -> list[object]:
+        """What a YARP program asked."""
+        words = decode(message.payload, message.peer.profile)
+        match words:
+            case ["definition", str(name)]:
+                try:
+                    return [Vocab("ok"), self._registry.ros1(name).definition]
+                except MessageTypeError as err:
+                    return [Vocab("fail"), str(err)]
+            case ["help"]:
+                return [Vocab("many"), "definition PACKAGE/NAME  # text of a ROS message type and all that it nests"]
+        return [Vocab("fail"), "send help for the commands there are"]
