@@ -17,10 +17,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from benchmarks.latency.cases import CASES, Prepared, prepare
+from benchmarks.latency.cases import CASES, prepare
 from benchmarks.latency.figures import figures
-from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import Meter, text
+from benchmarks.processes import add_realtime_option
 from benchmarks.rows import Row, add_json_option, report
 
 WAYS = {("ros1", "ros2"): "ROS 1 to ROS 2", ("ros2", "ros1"): "ROS 2 to ROS 1"}
@@ -30,6 +31,8 @@ FLOW = 100e6
 """Bytes a second of the stream."""
 RATE = 100.0
 """Messages a second on each small topic."""
+LATEST_SECONDS = 2.0
+"""How long after the last message was sent one is waited for that has not come; images may be lost."""
 
 
 class Flood(Stage):
@@ -51,30 +54,16 @@ class Flood(Stage):
             raise
 
     def _open(self, source: str, target: str) -> None:
-        for part in self.topics:
-            for role, kind in (("listener", target), ("sender", source)):
-                self.launch(f"{part} {role}", f"benchmarks.latency.{kind}_end", system=kind == "ros1")
-        for part in self.topics:
-            for role in ("listener", "sender"):
-                self.wait_for(f"{part} {role}", "ready")
+        roles = {"listener": target, "sender": source}
+        self.start_ends({f"{part} {role}": kind for part in self.topics for role, kind in roles.items()})
         for part, topics in self.topics.items():
             heard = [message.topic(name, ros1=target == "ros1") for name, message in topics.items()]
             sent = [message.topic(name, ros1=source == "ros1") for name, message in topics.items()]
             self.command(f"{part} listener", "subscribe", "subscribed", topics=heard)
             self.command(f"{part} sender", "advertise", "advertised", topics=sent)
         for part, topics in self.topics.items():
-            for name, message in topics.items():
-                self._wait_until_crosses(part, name, message)
-
-    def _wait_until_crosses(self, part: str, name: str, message: Prepared) -> None:
-        end = time.monotonic() + UP_SECONDS
-        while True:
-            self.command(f"{part} sender", "send", "sent", topic=name, count=1, period=0.0)
-            if self.command(f"{part} listener", "collect", "collected", topic=name, count=1, seconds=0.5)["ages"]:
-                return
-            if time.monotonic() > end:
-                msg = f"{message.case.name} does not come through on {name}:\n{self.words()}"
-                raise RuntimeError(msg)
+            for name in topics:
+                self.until_crosses(f"{part} sender", f"{part} listener", name)
 
     def turn(self, seconds: float, *, flooded: bool) -> dict[str, list[int]]:
         """Send on the small topics, and on the stream where ``flooded``; the ages that arrived, by topic."""
@@ -92,12 +81,17 @@ class Flood(Stage):
         self.wait_for("small sender", "drummed")
         if flooded:
             self.wait_for("stream sender", "drummed")
-        time.sleep(0.3)
-        return {
-            topic: self.command(f"{part} listener", "collect", "collected", topic=topic, count=0, seconds=0.0)["ages"]
-            for part, topics in self.topics.items()
-            for topic in topics
-        }
+        sent = dict.fromkeys(SMALL, round(RATE * seconds))
+        if flooded:
+            sent[STREAM] = round(self.image_rate * (seconds + 2 * lead))
+        return {topic: self._arrived(topic, count) for topic, count in sent.items()}
+
+    def _arrived(self, topic: str, sent: int) -> list[int]:
+        """The ages of what was heard on a topic, once all has come or nothing more does."""
+        listener = "stream listener" if topic == STREAM else "small listener"
+        told = self.command(listener, "collect", "collected", topic=topic, count=sent, seconds=LATEST_SECONDS)
+        ages: list[int] = told["ages"]
+        return ages
 
     def _drum(self, part: str, rate: float, seconds: float) -> None:
         topics = list(self.topics[part])
@@ -142,9 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--way", choices=["ros1", "ros2"], help="only the way from this side (default both)")
     parser.add_argument("--turns", type=int, default=3, metavar="N", help="turns with and without the stream (3)")
     parser.add_argument("--seconds", type=float, default=6.0, metavar="S", help="length of each turn (6)")
-    parser.add_argument(
-        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
-    )
+    add_realtime_option(parser)
     add_json_option(parser)
     return parser
 

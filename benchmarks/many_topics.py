@@ -22,14 +22,18 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.latency.cases import NUMBERED, prepare
 from benchmarks.latency.figures import figures
 from benchmarks.latency.network import BACK, THERE
-from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, text, total
+from benchmarks.processes import add_realtime_option
 from benchmarks.rows import Row, add_json_option, report
 
 WAYS = {THERE: ("ros1", "ros2", "ROS 1 to ROS 2"), BACK: ("ros2", "ros1", "ROS 2 to ROS 1")}
 IDLE_CPU, BUSY_CPU, BUSY_P99 = 1.0, 70.0, 3000.0
 """The project's limits: of all the daemon's processes and of both workers in percent of a core, microseconds."""
 FAST = 250.0
+KINDS = ("ros1", "ros2")
+LATEST_SECONDS = 2.0
+"""How long one waits for a message that has not come."""
 
 
 class Crowd(Stage):
@@ -53,12 +57,7 @@ class Crowd(Stage):
 
     def _ends(self, part: str, topics: Mapping[str, Sequence[str]]) -> None:
         """Start the senders and listeners of some topics, and wait until each of these has a message through."""
-        for kind in ("ros1", "ros2"):
-            for role in ("listener", "sender"):
-                self.launch(f"{kind} {part} {role}", f"benchmarks.latency.{kind}_end", system=kind == "ros1")
-        for kind in ("ros1", "ros2"):
-            for role in ("listener", "sender"):
-                self.wait_for(f"{kind} {part} {role}", "ready")
+        self.start_ends({f"{kind} {part} {role}": kind for kind in KINDS for role in ("listener", "sender")})
         for way, (source, target, _) in WAYS.items():
             heard = [self._message.topic(name, ros1=target == "ros1") for name in topics[way]]
             sent = [self._message.topic(name, ros1=source == "ros1") for name in topics[way]]
@@ -68,17 +67,16 @@ class Crowd(Stage):
             self._wait_until_all_cross(f"{source} {part} sender", f"{target} {part} listener", topics[way])
 
     def _wait_until_all_cross(self, sender: str, listener: str, topics: Sequence[str]) -> None:
-        end = time.monotonic() + UP_SECONDS
-        while True:
+        def all_cross() -> bool:
             self.command(sender, "drum", "drumming", topics=topics, rate=1.0, seconds=1.0)
             self.wait_for(sender, "drummed")
-            time.sleep(0.3)
-            silent = self.command(listener, "tally", "tallied")["silent"]
-            if not silent:
-                return
-            if time.monotonic() > end:
-                msg = f"{silent} of {len(topics)} topics from {sender} to {listener} are silent:\n{self.words()}"
-                raise RuntimeError(msg)
+            return not self._tally(listener, len(topics), 0.5)["silent"]
+
+        self.until(all_cross, f"all {len(topics)} topics from {sender} to {listener} have a message through")
+
+    def _tally(self, listener: str, sent: int, seconds: float) -> dict[str, Any]:
+        """What a listener counted, once all has come or nothing more did for so long."""
+        return self.command(listener, "tally", "tallied", sent=sent, seconds=seconds)
 
     def idle(self, seconds: float) -> dict[str, Usage]:
         """What the processes take while nothing is sent."""
@@ -100,9 +98,9 @@ class Crowd(Stage):
         used = self.meter.read()
         for way in ways:
             self.wait_for(f"{WAYS[way][0]} {part} sender", "drummed")
-        time.sleep(0.5)
-        told = {way: self.command(f"{WAYS[way][1]} {part} listener", "tally", "tallied") for way in ways}
-        return {way: t | {"sent": round(rate * seconds) * len(topics[way])} for way, t in told.items()}, used
+        sent = {way: round(rate * seconds) * len(topics[way]) for way in ways}
+        told = {way: self._tally(f"{WAYS[way][1]} {part} listener", sent[way], LATEST_SECONDS) for way in ways}
+        return {way: t | {"sent": sent[way]} for way, t in told.items()}, used
 
 
 class Samples:
@@ -188,9 +186,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--topics", type=int, default=500, metavar="N", help="topics, half of them each way (500)")
     parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="messages a second on each (10)")
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="length of each measurement (20)")
-    parser.add_argument(
-        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
-    )
+    add_realtime_option(parser)
     add_json_option(parser)
     return parser
 

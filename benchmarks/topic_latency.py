@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.latency.cases import CASES, Case
 from benchmarks.latency.figures import Figures, figures, floor, over_rounds
 from benchmarks.latency.network import BACK, THERE, Network
+from benchmarks.processes import add_realtime_option
 from benchmarks.rows import Row, add_json_option, report
 
 HOPS = ("ros1", "zenoh", "ros2")
@@ -151,9 +152,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rounds", type=int, metavar="N", help="rounds, each with new processes (default 5)")
     parser.add_argument("--quick", action="store_true", help="three messages, two rounds, nothing else bridged")
     parser.add_argument("--no-shared-memory", action="store_true", help="without shared memory on the hub")
-    parser.add_argument(
-        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
-    )
+    add_realtime_option(parser)
     parser.add_argument("--check", action="store_true", help="exit code 1 where a ratio is above its mark")
     add_json_option(parser)
     return parser

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 import xmlrpc.client
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.latency.cases import CASES, Case, Prepared, prepare
-from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.stage import Stage
 from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
 from bridge.hub.session import Hub, HubSettings
 
@@ -102,15 +101,6 @@ class Deployment(Stage):
         with xmlrpc.client.ServerProxy(self.place.master) as master:
             state: Any = master.getSystemState("/census")
         return sum(node.startswith("/midspan") for kind in state[2] for _, nodes in kind for node in nodes)
-
-    def until(self, condition: Callable[[], object], what: str, seconds: float = UP_SECONDS) -> None:
-        """Wait for a condition; raises `RuntimeError` with the daemon's last words where it does not come true."""
-        end = time.monotonic() + seconds
-        while not condition():
-            if time.monotonic() > end:
-                msg = f"not within {seconds:g} s: {what}\n{self.words()}"
-                raise RuntimeError(msg)
-            time.sleep(0.05)
 
     def close(self) -> None:
         """End all processes."""

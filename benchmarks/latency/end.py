@@ -124,8 +124,12 @@ class End(ABC):
             self.listen(name, topic["type"], _counter(_load(topic), ages, numbers))
         tell("counting")
 
-    def _tally(self) -> None:
-        """Tell what has come of the numbered messages since the last tally, and the topics that were silent."""
+    def _tally(self, sent: int, seconds: float) -> None:
+        """Tell what has come of the numbered messages since the last tally, and the topics that were silent.
+
+        So many were sent: those that have not come are waited for as long as one comes within ``seconds``.
+        """
+        self._wait_for(lambda: sum(map(len, self._numbers.values())), sent, seconds)
         ages, got, distinct, silent, disorder = list[int](), 0, 0, 0, 0
         for name, numbers in self._numbers.items():
             ages += self._ages[name]
@@ -144,10 +148,18 @@ class End(ABC):
 
     def _collect(self, topic: str, count: int, seconds: float) -> None:
         ages = self._ages[topic]
-        end = time.monotonic() + seconds
-        while len(ages) < count and time.monotonic() < end:
-            time.sleep(0.02)
+        self._wait_for(lambda: len(ages), count, seconds)
         tell("collected", ages=list(ages))
+
+    @staticmethod
+    def _wait_for(come: Callable[[], int], count: int, seconds: float) -> None:
+        """Wait until so many have come, or none more within some seconds."""
+        last, since = come(), time.monotonic()
+        while last < count and time.monotonic() < since + seconds:
+            time.sleep(0.02)
+            now = come()
+            if now != last:
+                last, since = now, time.monotonic()
 
 
 def _collector(prepared: Stamped, ages: list[int]) -> Callable[[bytes], None]:

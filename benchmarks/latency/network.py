@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 
 from benchmarks.latency.cases import BACKGROUND, Case, Prepared, prepare
-from benchmarks.latency.stage import UP_SECONDS, Stage
+from benchmarks.latency.stage import Stage
 
 FLOOR, THERE, BACK = "floor", "there", "back"
 """First part of the topics' names: not bridged, from ROS 1 to ROS 2, from ROS 2 to ROS 1."""
@@ -134,14 +134,5 @@ class Network(Stage):
                 source, target = {THERE: ("ros1", "ros2"), BACK: ("ros2", "ros1")}.get(hop, (hop, hop))
                 topic = f"/{hop if hop in (THERE, BACK) else FLOOR}/{key}"
                 self.command(f"{source} sender", "matched", "matched", topic=topic)
-                end = time.monotonic() + UP_SECONDS
-                while not self._reaches(source, target, topic):
-                    if time.monotonic() > end:
-                        msg = f"nothing comes through on {topic} from {source} to {target}:\n{self.words()}"
-                        raise RuntimeError(msg)
+                self.until_crosses(f"{source} sender", f"{target} listener", topic)
         time.sleep(1.0)
-
-    def _reaches(self, source: str, target: str, topic: str) -> bool:
-        self.command(f"{source} sender", "send", "sent", topic=topic, count=1, period=0.0)
-        listener = f"{target} listener"
-        return bool(self.command(listener, "collect", "collected", topic=topic, count=1, seconds=0.5)["ages"])

@@ -14,6 +14,8 @@ from benchmarks.losses.traces import left_behind
 
 PAUSE = 0.3
 """Seconds after the loss at which the programs say new latched lines."""
+AWAY = 1.0
+"""Seconds for which a killed roscore is away."""
 FORGET_SECONDS = 30.0
 """Fast DDS gives a dead participant up after 20 s, unless its own profile says otherwise."""
 
@@ -39,26 +41,25 @@ def roscore(field: Field, *, simulated: bool = False) -> Outcome:
     """Kill roscore and start it again; ROS 1 programs, which never register again by themselves, are started anew."""
     if simulated and not field.clock:
         field.master("setParam", "/use_sim_time", True)
-        field.ask("ros1", "clock", "ticking", start=1000.0)
+        field.command("ros1", "clock", "ticking", start=1000.0)
         field.clock = True
     field.master("setParam", "/robot/name", "r1")
     watch = _settled(field)
     field.kill("roscore")
-    time.sleep(PAUSE)
-    field.say_state("ros2", "hub")
-    time.sleep(1.0)
+    _speak(field, "ros2", "hub")
+    time.sleep(AWAY)
     field.kill("ros1", JOINER)
     field.start_master()
     field.master("setParam", "/robot/name", "r2")
     if field.clock:
         field.master("setParam", "/use_sim_time", True)
     field.start_programs("ros1", JOINER)
-    if simulated:  # a simulation that starts again begins at zero: time goes back
-        field.ask("ros1", "clock", "ticking", start=0.0)
+    if field.clock:  # a simulation that starts again begins at zero: time goes back
+        field.command("ros1", "clock", "ticking", start=0.0)
     outcome = watch.until_steady(time.monotonic())
     watch.check_state(outcome)
     outcome.left += left_behind(field)
-    if simulated and field.master("getParam", "/use_sim_time") is not True:
+    if field.clock and field.master("getParam", "/use_sim_time") is not True:
         outcome.left.append("/use_sim_time is not what was set")
     if field.master("getParam", "/robot/name") != "r2":
         outcome.left.append("/robot/name is not what was set")
@@ -72,7 +73,7 @@ def simulated_roscore(field: Field) -> Outcome:
         last = field.sounds(time.monotonic() - 1.0).get((listener, "/clock"), [(0.0, 1000.0, 0.0)])[-1][1]
         if last >= 1000.0:
             outcome.left.append(f"{listener} hears the old time {last:g}")
-    field.ask("ros1", "clock", "ticking", start=1000.0)
+    field.command("ros1", "clock", "ticking", start=1000.0)
     return outcome
 
 
@@ -84,8 +85,7 @@ def program(field: Field, side: str, *, forget: bool = True) -> Outcome:
     if side == "ros2" and not forget:
         field.lingering[field.states[name]] = time.monotonic() + FORGET_SECONDS
     field.kill(name)
-    time.sleep(PAUSE)
-    field.say_state(*ANCHORS)
+    _speak(field, *ANCHORS)
     field.start_programs(name)
     outcome = watch.until_steady(time.monotonic())
     if not forget:
@@ -103,8 +103,7 @@ def worker_killed(field: Field, worker: str) -> Outcome:
     process = field.worker(worker)
     process.kill()
     begun = time.monotonic()
-    time.sleep(PAUSE)
-    field.say_state(*ANCHORS)
+    _speak(field, *ANCHORS)
     return _after(field, watch, begun, replaced=(worker, process.pid))
 
 
@@ -117,11 +116,10 @@ def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
     begun = time.monotonic()
     for _, process in processes:
         process.send_signal(signal.SIGSTOP)
-    time.sleep(PAUSE)
-    field.say_state(*ANCHORS)
+    _speak(field, *ANCHORS)
     if seconds > 5.0:  # the heartbeat's limit
-        replaced = [(w, p.pid) for w, p in processes]
-        field.wait(lambda: all(_replaced(field, w, pid) for w, pid in replaced), "the stopped workers are replaced", 20)
+        old = [(w, p.pid) for w, p in processes]
+        field.until(lambda: all(_replaced(field, *each) for each in old), "the stopped workers are replaced", 20)
         return _after(field, watch, begun)
     time.sleep(max(0.0, begun + seconds - time.monotonic()))
     for _, process in processes:
@@ -131,28 +129,16 @@ def worker_stopped(field: Field, *workers: str, seconds: float) -> Outcome:
     return outcome
 
 
-def daemon(field: Field) -> Outcome:
-    """SIGKILL the daemon and start it again at once."""
+def daemon(field: Field, *workers: str) -> Outcome:
+    """SIGKILL the daemon, and workers with it, and start it again at once."""
     watch = _settled(field)
-    field.kill_daemon()
-    field.start_daemon()
-    begun = time.monotonic()
-    time.sleep(PAUSE)
-    field.say_state(*ANCHORS)
-    return _after(field, watch, begun)
-
-
-def daemon_with_workers(field: Field) -> Outcome:
-    """SIGKILL the daemon and all its workers at once, as a crash of all of it would, and start it again."""
-    watch = _settled(field)
-    workers = [field.worker(name) for name in WORKERS]
-    for process in workers:
+    processes = [field.worker(name) for name in workers]
+    for process in processes:
         process.kill()
     field.kill_daemon()
     field.start_daemon()
     begun = time.monotonic()
-    time.sleep(PAUSE)
-    field.say_state(*ANCHORS)
+    _speak(field, *ANCHORS)
     return _after(field, watch, begun)
 
 
@@ -165,9 +151,15 @@ def _settled(field: Field) -> Watch:
     return Watch(field)
 
 
+def _speak(field: Field, *programs: str) -> None:
+    """A moment after the loss, programs say new latched lines."""
+    time.sleep(PAUSE)
+    field.say_state(*programs)
+
+
 def _after(field: Field, watch: Watch, returned: float, replaced: tuple[str, int] | None = None) -> Outcome:
     if replaced is not None:
-        field.wait(lambda: _replaced(field, *replaced), f"{replaced[0]} is started again")
+        field.until(lambda: _replaced(field, *replaced), f"{replaced[0]} is started again")
     outcome = watch.until_steady(returned)
     watch.check_state(outcome)
     outcome.left += left_behind(field)
@@ -196,6 +188,6 @@ LOSSES = (
     *_of_workers("stopped for 2 s", 3.0, lambda field, worker: worker_stopped(field, worker, seconds=2.0)),
     Loss("daemon", "the daemon killed and started", 3.0, daemon),
     *_of_workers("stopped for 10 s", 8.0, lambda field, worker: worker_stopped(field, worker, seconds=10.0)),
-    Loss("everything", "the daemon and all workers killed and started", 4.0, daemon_with_workers),
+    Loss("everything", "the daemon and all workers killed and started", 4.0, lambda field: daemon(field, *WORKERS)),
     Loss("simulated", "roscore killed and started, with simulated time", 3.0, simulated_roscore),
 )

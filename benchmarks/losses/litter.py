@@ -16,7 +16,7 @@ left to the next start."""
 def litter(field: Field, kills: int) -> list[Row]:
     """Kill the workers, and then the whole daemon, again and again while megabytes cross, and count what stays."""
     for name in ANCHORS:
-        field.ask(name, "large", "enlarged", on=True)
+        field.command(name, "large", "enlarged", on=True)
     rows = []
     for what, kill in (("the workers", _kill_workers), ("the daemon and its workers", _kill_all)):
         counts = []
@@ -33,7 +33,7 @@ def litter(field: Field, kills: int) -> list[Row]:
         rows.append(Row(f"files in shared memory after {kills} kills of {what}", last[0], first[0], "files"))
         rows.append(Row(f"shared memory after {kills} kills of {what}", last[1] / 1e6, first[1] / 1e6, "MB"))
     for name in ANCHORS:
-        field.ask(name, "large", "enlarged", on=False)
+        field.command(name, "large", "enlarged", on=False)
     return rows
 
 
@@ -53,7 +53,7 @@ def _kill_workers(field: Field) -> None:
         now = {w["worker"]: w["pid"] for w in field.document()["workers"]}
         return all(now.get(name) not in (None, 0, pid) for name, pid in pids.items())
 
-    field.wait(replaced, "they are started again")
+    field.until(replaced, "they are started again")
 
 
 def _kill_all(field: Field) -> None:

@@ -128,7 +128,7 @@ class Watch:
         missing, left = list[str](), list[str]()
         wanted = self._field.states
         for name in ANCHORS:
-            lines: Mapping[str, str] = self._field.ask(name, "states", "states")["lines"]
+            lines: Mapping[str, str] = self._field.command(name, "states", "states")["lines"]
             missing += [
                 f"{line} at {name}, which has {lines.get(n, 'none')}"
                 for n, line in wanted.items()
@@ -138,7 +138,7 @@ class Watch:
             expected = {line for n, line in wanted.items() if n != name or name == "ros2"}
             lingering = {line for line, until in self._field.lingering.items() if time.monotonic() < until}
             count = len(expected | lingering)
-            got = self._field.ask(name, "late", "joined", count=count, seconds=2.0)["lines"]
+            got = self._field.command(name, "late", "joined", count=count, seconds=2.0)["lines"]
             missing += [f"{line} at a newcomer on {name}" for line in sorted(expected - set(got))]
             left += [f"{line} at a newcomer on {name}" for line in sorted(set(got) - expected - lingering)]
             left += [f"{line} {n} times at a newcomer on {name}" for line, n in Counter(got).items() if n > 1]

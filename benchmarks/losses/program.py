@@ -34,6 +34,13 @@ KEPT = 20_000
 MEGABYTE = "x" * 1_000_000
 _LARGE_EVERY = 10
 
+_READ: dict[str, Callable[[Any], tuple[float, float]]] = {
+    "stream": lambda m: (m.x, m.y),
+    "cmd_vel": lambda m: (m.linear.x, m.linear.y),
+    "large": lambda _m: (0.0, 0.0),
+}
+"""The time of sending and the number in a message of each kind."""
+
 
 class Program(ABC):
     """One program of one middleware."""
@@ -104,6 +111,11 @@ class Program(ABC):
         if sounds is None:
             sounds = self._sounds.setdefault(topic, deque(maxlen=KEPT))
         sounds.append((time.monotonic(), sent, number))
+
+    def hearer(self, source: str, kind: str) -> Callable[[Any], None]:
+        """What takes another program's messages of a kind."""
+        topic, read = f"/{source}/{kind}", _READ[kind]
+        return lambda message: self.sound(topic, *read(message))
 
     def stated(self, line: str) -> None:
         """A latched line came."""

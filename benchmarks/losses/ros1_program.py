@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from benchmarks.losses.program import MEGABYTE, Program
 
 QUEUE = 100
+KINDS = {"stream": Vector3, "cmd_vel": Twist, "large": String}
 
 
 class Ros1Program(Program):
@@ -27,7 +28,7 @@ class Ros1Program(Program):
 
     def open(self) -> None:
         """As the base says."""
-        for kind, type_ in (("stream", Vector3), ("cmd_vel", Twist), ("large", String)):
+        for kind, type_ in KINDS.items():
             topic = f"/{self.name}/{kind}"
             self._publishers[kind] = rospy.Publisher(topic, type_, queue_size=QUEUE, tcp_nodelay=True)
         self._publishers["state"] = rospy.Publisher("/state", String, queue_size=QUEUE, latch=True)
@@ -53,19 +54,12 @@ class Ros1Program(Program):
 
     def listen(self, source: str) -> None:
         """As the base says."""
-        kinds: list[tuple[str, Any, Callable[[Any], tuple[float, float]]]] = [
-            (f"/{source}/stream", Vector3, lambda m: (m.x, m.y)),
-            (f"/{source}/cmd_vel", Twist, lambda m: (m.linear.x, m.linear.y)),
-            (f"/{source}/large", String, lambda _m: (0.0, 0.0)),
-        ]
+        more = {"tcp_nodelay": True, "queue_size": QUEUE, "buff_size": 1 << 22}
         if source == "clock":
-            kinds = [("/clock", Clock, lambda m: (m.clock.to_sec(), 0.0))]
-        for topic, type_, read in kinds:
-
-            def heard(message: Any, topic: str = topic, read: Callable[[Any], tuple[float, float]] = read) -> None:
-                self.sound(topic, *read(message))
-
-            rospy.Subscriber(topic, type_, heard, tcp_nodelay=True, queue_size=QUEUE, buff_size=1 << 22)
+            rospy.Subscriber("/clock", Clock, lambda m: self.sound("/clock", m.clock.to_sec(), 0.0), **more)
+            return
+        for kind, type_ in KINDS.items():
+            rospy.Subscriber(f"/{source}/{kind}", type_, self.hearer(source, kind), **more)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
         """As the base says; in a program that has no subscription of it yet, which rospy would share."""

@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from benchmarks.losses.program import MEGABYTE, Program
 
 DEPTH = 100
+KINDS = {"stream": Vector3, "cmd_vel": Twist, "large": String}
 
 
 class Ros2Program(Program):
@@ -34,7 +35,7 @@ class Ros2Program(Program):
 
     def open(self) -> None:
         """As the base says."""
-        for kind, type_ in (("stream", Vector3), ("cmd_vel", Twist), ("large", String)):
+        for kind, type_ in KINDS.items():
             self._publishers[kind] = self._node.create_publisher(type_, f"/{self.name}/{kind}", DEPTH)
         self._publishers["state"] = self._node.create_publisher(String, "/state", _latched(1))
         self._node.create_subscription(String, "/state", lambda m: self.stated(m.data), _latched(DEPTH))
@@ -54,19 +55,14 @@ class Ros2Program(Program):
 
     def listen(self, source: str) -> None:
         """As the base says."""
-        kinds: list[tuple[str, Any, Callable[[Any], tuple[float, float]]]] = [
-            (f"/{source}/stream", Vector3, lambda m: (m.x, m.y)),
-            (f"/{source}/cmd_vel", Twist, lambda m: (m.linear.x, m.linear.y)),
-            (f"/{source}/large", String, lambda _m: (0.0, 0.0)),
-        ]
         if source == "clock":
-            kinds = [("/clock", Clock, lambda m: (m.clock.sec + m.clock.nanosec / 1e9, 0.0))]
-        for topic, type_, read in kinds:
+            self._node.create_subscription(Clock, "/clock", self._hear_clock, DEPTH)
+            return
+        for kind, type_ in KINDS.items():
+            self._node.create_subscription(type_, f"/{source}/{kind}", self.hearer(source, kind), DEPTH)
 
-            def heard(message: Any, topic: str = topic, read: Callable[[Any], tuple[float, float]] = read) -> None:
-                self.sound(topic, *read(message))
-
-            self._node.create_subscription(type_, topic, heard, DEPTH)
+    def _hear_clock(self, message: Any) -> None:
+        self.sound("/clock", message.clock.sec + message.clock.nanosec / 1e9, 0.0)
 
     def late(self, take: Callable[[str], None]) -> Callable[[], None]:
         """As the base says."""

@@ -67,5 +67,5 @@ def _ask(uri: Any, method: str) -> Any:
 
 
 def _twice(field: Field, program: str, names: tuple[str, ...]) -> list[str]:
-    counts = Counter(field.ask(program, "nodes", "nodes")["names"])
+    counts = Counter(field.command(program, "nodes", "nodes")["names"])
     return [f"{counts[name]} nodes {name} as {program} sees it" for name in names if counts[name] != 1]

@@ -1,0 +1,144 @@
+"""The processes of a benchmark: roscore, the daemon, and programs that obey commands, in a place of their own."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import benchmarks
+from bridge.demo import requirements
+from bridge.demo.child import Child, guarded
+from bridge.demo.place import Place
+from bridge.demo.traces import marked, remove_unused, shared_memory, sweep
+
+UP_SECONDS = 60.0
+
+
+class Processes:
+    """A place, and the processes in it; all end with it.
+
+    Args:
+        config: the daemon's configuration, but for what names the place.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self._children: dict[str, Child] = {}
+        self._memory: set[Path] = set()
+        self.place = place = Place(None, config)
+        try:
+            (place.system_path / "benchmarks").symlink_to(Path(benchmarks.__path__[0]))
+            self._ros1 = place.ros1_environment(requirements.ros1_packages(place.config))
+        except BaseException:
+            place.close()
+            raise
+        self._own = place.environment()
+
+    def start_master(self) -> None:
+        """Start roscore and wait until it answers."""
+        place = self.place
+        command = guarded(requirements.SYSTEM_PYTHON, requirements.roscore(place.config), "-p", str(place.master_port))
+        self._spawn("roscore", command, self._ros1)
+        self.until(place.master_answers, "roscore answers")
+
+    def start_daemon(self) -> None:
+        """Start the daemon; returns at once."""
+        command = guarded(sys.executable, "-m", "bridge.cli.main", "run", "--config", self.place.config_file)
+        self._spawn("daemon", command, self.place.environment())
+
+    def launch(self, name: str, module: str, *arguments: str, system: bool = False) -> Child:
+        """Start a program.
+
+        Args:
+            name: its name, for people and for `command`.
+            module: the Python module that it runs.
+            arguments: the module's.
+            system: on the system's Python with ROS 1's packages, instead of Midspan's own.
+        """
+        python, env = (requirements.SYSTEM_PYTHON, self._ros1) if system else (sys.executable, self._own)
+        return self._spawn(name, [python, "-m", module, *arguments], env)
+
+    def _spawn(self, name: str, command: Sequence[str | Path], env: Mapping[str, str]) -> Child:
+        child = self._children[name] = Child(name, command, env, self.place.folder)
+        return child
+
+    def command(self, name: str, do: str, event: str, **params: Any) -> dict[str, Any]:
+        """Send a program a command, and wait for its answer."""
+        self._children[name].ask(do, **params)
+        return self.wait_for(name, event)
+
+    def wait_for(self, name: str, event: str) -> dict[str, Any]:
+        """An event that a program tells; raises `RuntimeError` where it does not in time."""
+        told = self._children[name].wait_for(event, UP_SECONDS)
+        if told is None:
+            msg = f"{name} did not answer ({event}):\n{self._children[name].last_words()}\n{self.words()}"
+            raise RuntimeError(msg)
+        return told
+
+    def until(
+        self, condition: Callable[[], object], what: str, seconds: float = UP_SECONDS, every: float = 0.05
+    ) -> float:
+        """Wait for a condition; the moment at which it held. Raises `RuntimeError` where it does not come true."""
+        end = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > end:
+                msg = f"not within {seconds:g} s: {what}\n{self.words()}"
+                raise RuntimeError(msg)
+            time.sleep(every)
+        return time.monotonic()
+
+    def words(self) -> str:
+        """The daemon's last ones."""
+        return self._children["daemon"].last_words() if "daemon" in self._children else ""
+
+    def prefer(self) -> None:
+        """Have all these processes scheduled before the machine's others (Linux, root); for all alike, so fair."""
+        for pid in marked(self.place.folder):
+            for task in Path(f"/proc/{pid}/task").iterdir():
+                with contextlib.suppress(ProcessLookupError):
+                    os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(1))
+
+    def stop(self, name: str) -> None:
+        """Have a process leave in good order."""
+        child = self._children.pop(name)
+        child.begin_stop()
+        child.finish_stop(5.0)
+
+    def remember_memory(self) -> set[Path]:
+        """Files in shared memory that a process of this run uses, or used when this was called before."""
+        self._memory |= shared_memory(self.place.folder, self.place.domain_ports)
+        return self._memory
+
+    def close(self) -> None:
+        """End all processes."""
+        self.remember_memory()
+        last = ("daemon", "roscore")
+        groups = [[name for name in self._children if name not in last], *([name] for name in last)]
+        for group in groups:
+            children = [self._children[name] for name in group if name in self._children]
+            for child in children:
+                child.begin_stop()
+            for child in children:
+                child.finish_stop(9.0)
+        sweep(self.place.folder)
+        remove_unused(self._memory)
+        self.place.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+
+def add_realtime_option(parser: argparse.ArgumentParser) -> None:
+    """Give a benchmark the option ``--realtime``, for `Processes.prefer`."""
+    parser.add_argument(
+        "--realtime", action="store_true", help="schedule all processes of it before the machine's others (Linux, root)"
+    )
