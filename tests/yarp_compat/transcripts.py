@@ -44,8 +44,8 @@ class Talk:
         return b"".join(step.data for step in self.steps if step.by == by)
 
 
-def read(name: str) -> list[Talk]:
-    """All connections of a transcript, in the order in which they were opened."""
+def read(name: str, *, joined: bool = True) -> list[Talk]:
+    """All connections of a transcript, in the order in which they were opened; pieces joined, or as they were sent."""
     talks: dict[int, Talk] = {}
     by, moment, talk = "", 0.0, None
     for line in (_DATA / name).read_text().splitlines():
@@ -57,7 +57,7 @@ def read(name: str) -> list[Talk]:
         elif talk is not None and by and (found := _BYTES.match(line)):
             data = bytes.fromhex(found[1])
             last = talk.steps[-1] if talk.steps else None
-            if last is not None and last.by == by and (last.time == moment or by != "U"):
+            if last is not None and last.by == by and (last.time == moment or (joined and by != "U")):
                 talk.steps[-1] = Step(by, last.data + data, moment)
             else:
                 talk.steps.append(Step(by, data, moment))

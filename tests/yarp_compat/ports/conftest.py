@@ -1,0 +1,34 @@
+"""Ports that know each other without a name server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+
+MakePort = Callable[..., PortCore]
+
+
+@pytest.fixture
+def naming() -> LocalNaming:
+    """Names of one test."""
+    return LocalNaming()
+
+
+@pytest.fixture
+def make_port(naming: LocalNaming) -> Iterator[MakePort]:
+    """Open ports, which are closed after the test."""
+    ports: list[PortCore] = []
+
+    def make(name: str, on_message: object = None, **options: object) -> PortCore:
+        port = PortCore(name, on_message=on_message, naming=naming, **options)  # type: ignore[arg-type]
+        port.open()
+        ports.append(port)
+        return port
+
+    yield make
+    for port in ports:
+        port.close()

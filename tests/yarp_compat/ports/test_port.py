@@ -1,0 +1,387 @@
+"""Ports among each other: every carrier, envelopes, replies, who is connected to whom."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Route
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.profile import Profile
+
+HELLO = encode(["hello", 42, 3.5], Profile.YARP3)
+ALL = ["tcp", "fast_tcp", "udp", "text", "text_ack", "local"]
+REPLYING = ["tcp", "fast_tcp", "text_ack", "local"]
+BINARY = ["tcp", "fast_tcp", "udp", "local"]
+
+
+class Reader:
+    """Keeps what a port got."""
+
+    def __init__(self) -> None:
+        self.got: list[tuple[list[Any], str]] = []
+
+    def __call__(self, message: Message) -> None:
+        self.got.append((decode(message.payload), message.envelope))
+
+
+@pytest.mark.parametrize("carrier", ALL)
+def test_message_with_envelope(make_port: MakePort, carrier: str) -> None:
+    reader = Reader()
+    make_port("/r", reader)
+    writer = make_port("/w")
+    assert writer.add_output(f"{carrier}://r") == (True, f"Added connection from /w to {carrier}://r")
+    assert writer.write(HELLO, "7 1795143618.02289", wait=True, timeout=10) == 1
+    until(lambda: reader.got, "the message")
+    assert reader.got == [(["hello", 42, 3.5], "7 1795143618.02289")]
+    assert writer.outputs() == [Route("/w", "/r", carrier)]
+
+
+@pytest.mark.parametrize("carrier", ALL)
+def test_without_envelope(make_port: MakePort, carrier: str) -> None:
+    reader = Reader()
+    make_port("/r", reader)
+    writer = make_port("/w")
+    writer.add_output(f"{carrier}://r")
+    writer.write(HELLO, strict=True)
+    until(lambda: reader.got, "the message")
+    assert reader.got == [(["hello", 42, 3.5], "")]
+
+
+@pytest.mark.parametrize("carrier", REPLYING)
+def test_reply(make_port: MakePort, carrier: str) -> None:
+    make_port("/server", lambda m: m.reply(encode(["got", *decode(m.payload)], Profile.YARP3)), rpc=True)
+    client = make_port("/client", rpc=True)
+    client.add_output(f"{carrier}://server")
+    for _ in range(3):
+        assert decode(client.request(HELLO, timeout=10)) == ["got", "hello", 42, 3.5]
+
+
+@pytest.mark.parametrize("carrier", REPLYING)
+def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
+    """From owners that give none, that fail, and that are not there."""
+
+    def fail(_: Message) -> None:
+        raise ValueError
+
+    client = make_port("/client")
+    for name, owner in (("/silent", lambda _: None), ("/failing", fail), ("/nobody", None)):
+        port = make_port(name, owner)
+        client.add_output(f"{carrier}:/{name}")
+        assert decode(client.request(HELLO, timeout=10)) == []
+        client.remove_output(name)
+        if name != "/silent":
+            assert port.counters.dropped.total() == 1
+
+
+def test_reply_from_another_thread(make_port: MakePort) -> None:
+    waiting: list[Message] = []
+
+    def take(message: Message) -> None:
+        message.later()
+        waiting.append(message)
+
+    make_port("/server", take)
+    client = make_port("/client")
+    client.add_output("/server")
+    got: list[bytes] = []
+    thread = threading.Thread(target=lambda: got.append(client.request(HELLO, timeout=10)))
+    thread.start()
+    until(lambda: waiting, "the request")
+    assert not got
+    waiting[0].reply([HELLO[:5], HELLO[5:]])
+    thread.join(10)
+    assert got == [HELLO]
+
+
+def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort) -> None:
+    server = make_port("/server", Message.later)
+    client = make_port("/client")
+    client.add_output("/server")
+    thread = threading.Thread(target=lambda: pytest.raises((OSError, WireError), client.request, HELLO, timeout=20))
+    thread.start()
+    until(lambda: server.counters.received, "the request")
+    server.close()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_no_reply_in_time_ends_the_connection(make_port: MakePort) -> None:
+    """The reply may still come, and must not be taken for the next one's."""
+    make_port("/server", Message.later)
+    client = make_port("/client")
+    client.add_output("/server")
+    with pytest.raises(TimeoutError, match="/server"):
+        client.request(HELLO, timeout=0.3)
+    assert client.outputs() == []
+    with pytest.raises(ConnectionError, match="not connected"):
+        client.request(HELLO, timeout=0.3)
+
+
+def test_udp_carries_no_replies(make_port: MakePort) -> None:
+    make_port("/server")
+    client = make_port("/client")
+    client.add_output("udp://server")
+    with pytest.raises(ConnectionError, match="tcp"):
+        client.request(HELLO, timeout=5)
+
+
+@pytest.mark.parametrize("carrier", BINARY)
+@pytest.mark.parametrize("size", [0, 1, 1 << 15, (1 << 15) + 1, 100_000])
+def test_sizes(make_port: MakePort, carrier: str, size: int) -> None:
+    got: list[bytes] = []
+    make_port("/r", lambda m: got.append(bytes(m.payload)))
+    writer = make_port("/w")
+    writer.add_output(f"{carrier}://r")
+    sent = bytes(range(256)) * (size // 256) + bytes(size % 256)
+    writer.write([sent[:10], memoryview(sent)[10:]], wait=True, timeout=10)
+    until(lambda: got, "the message")
+    assert got == [sent]
+
+
+def test_large_messages_are_their_readers_own(make_port: MakePort) -> None:
+    """Memory is used again only when nobody looks at it any more."""
+    kept: list[memoryview] = []
+    addresses = []
+
+    def take(message: Message) -> None:
+        assert isinstance(message.payload, memoryview)
+        assert not message.payload.readonly
+        addresses.append(id(message.payload.obj))
+        if message.payload[0] % 2:
+            kept.append(message.payload)
+
+    make_port("/r", take)
+    writer = make_port("/w")
+    writer.add_output("/r")
+    for i in range(6):
+        writer.write(bytes([i]) * 3_000_000, wait=True, timeout=10)
+    assert [view[-1] for view in kept] == [1, 3, 5]
+    assert addresses[0] == addresses[1]
+    assert addresses[2] != addresses[1]
+
+
+def test_many_blocks(make_port: MakePort) -> None:
+    """C++ programs send large objects in several blocks."""
+    import socket
+    import struct
+
+    got: list[bytes] = []
+    port = make_port("/r", lambda m: got.append(bytes(m.payload)))
+    blocks = [b"\0\0\0\0~D\0\1", b"ab", b"", b"c" * 70_000, b"de"]
+    head = b"YA\x0a\0\0\0RP" + bytes([len(blocks), 1]) + b"\xff" * 8
+    with socket.create_connection((port.contact.host, port.contact.port)) as sock:
+        sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
+        sock.sendall(head + struct.pack("<5i", *map(len, blocks)) + bytes(4) + b"".join(blocks))
+        until(lambda: got, "the message")
+    assert got == [b"ab" + b"c" * 70_000 + b"de"]
+
+
+def test_everybody_connected_gets_it(make_port: MakePort) -> None:
+    readers = [Reader() for _ in range(len(ALL))]
+    writer = make_port("/w")
+    for i, (carrier, reader) in enumerate(zip(ALL, readers, strict=True)):
+        make_port(f"/r{i}", reader)
+        assert writer.add_output(f"{carrier}://r{i}")[0]
+    assert writer.write(HELLO, "1 2", wait=True, timeout=10) == len(ALL)
+    for reader in readers:
+        until(lambda got=reader.got: got == [(["hello", 42, 3.5], "1 2")], "the message")
+
+
+def test_each_reader_gets_its_dialect(make_port: MakePort) -> None:
+    got: dict[str, bytes] = {}
+    writer = make_port("/w")
+    for name in ("/three", "/four"):
+        make_port(name, lambda m: got.update({m.peer.route.target: bytes(m.payload)}))
+        writer.add_output(name)
+    writer.connections.outputs[1].profile = Profile.YARP4
+    writer.write(lambda profile: encode([1.5, "a"], profile), wait=True, timeout=10)
+    assert got == {"/three": encode([1.5, "a"], Profile.YARP3), "/four": encode([1.5, "a"], Profile.YARP4)}
+
+
+def test_connecting_again_replaces(make_port: MakePort) -> None:
+    reader = make_port("/r", Reader())
+    writer = make_port("/w")
+    for carrier in ("tcp", "fast_tcp", "tcp", "udp", "text"):
+        assert writer.add_output(f"{carrier}://r")[0]
+        assert writer.outputs() == [Route("/w", "/r", carrier)]
+        until(lambda c=carrier: reader.inputs() == [Route("/w", "/r", c)], f"only {carrier}")
+
+
+def test_either_side_disconnects(make_port: MakePort) -> None:
+    reader = make_port("/r", Reader())
+    writer = make_port("/w")
+    for carrier in ALL:
+        writer.add_output(f"{carrier}://r")
+        until(reader.inputs, "the connection")
+        assert writer.remove_output("/r") == (True, "Removed connection from /w to /r")
+        until(lambda: not reader.inputs(), f"the reader sees the end of {carrier}")
+    for carrier in ("tcp", "fast_tcp", "text", "text_ack", "local"):
+        writer.add_output(f"{carrier}://r")
+        until(reader.inputs, "the connection")
+        assert reader.remove_input("/w") == (True, "Removing connection from /w to /r")
+        until(lambda: not writer.outputs(), f"the writer sees the end of {carrier}")
+    assert writer.remove_output("/r") == (False, "Could not find an outgoing connection to /r")
+    assert reader.remove_input("/w") == (False, "Could not find an incoming connection from /w")
+
+
+def test_a_port_that_closes_is_noticed(make_port: MakePort) -> None:
+    writer = make_port("/w")
+    for carrier in ("tcp", "fast_tcp", "text_ack"):
+        reader = make_port("/r", Reader())
+        writer.add_output(f"{carrier}://r")
+        reader.close()
+        until(lambda: not writer.outputs(), f"the writer sees that {carrier}'s reader is gone")
+    reader = make_port("/r", Reader())
+    writer.add_output("udp://r")
+    until(reader.inputs, "the connection")
+    reader.close()
+
+    def gone() -> bool:
+        writer.write(HELLO)
+        return not writer.outputs()
+
+    until(gone, "udp: the machine says that nobody is there")
+
+
+def test_events(make_port: MakePort) -> None:
+    told: list[ConnectionEvent] = []
+    reader = make_port("/r", on_event=told.append)
+    writer = make_port("/w", on_event=told.append)
+    writer.add_output("/r")
+    until(reader.inputs, "the connection")
+    writer.remove_output("/r")
+    until(lambda: len(told) == 4, "four events")
+    route = Route("/w", "/r", "tcp")
+    assert sorted(told, key=lambda e: (not e.up, e.incoming)) == [
+        ConnectionEvent(route, incoming=False, up=True), ConnectionEvent(route, incoming=True, up=True),
+        ConnectionEvent(route, incoming=False, up=False), ConnectionEvent(route, incoming=True, up=False),
+    ]  # fmt: skip
+
+
+def test_an_rpc_client_has_one_server(make_port: MakePort) -> None:
+    make_port("/a")
+    make_port("/b")
+    client = make_port("/c", rpc=True)
+    assert client.add_output("/a")[0]
+    assert client.add_output("/b") == (False, "RPC output already connected")
+    assert client.add_output("/a")[0], "the same again replaces"
+
+
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        ("/nowhere", "Do not know how to connect to /nowhere"),
+        ("mcast://r", "Cannot connect to mcast://r"),
+        ("shmem:/r", "Cannot connect to shmem:/r"),
+        ("nonsense://r", "Cannot connect to nonsense://r"),
+        ("http://r", "Cannot connect to http://r"),
+    ],
+)
+def test_what_cannot_be_connected(
+    make_port: MakePort, target: str, told: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    make_port("/r")
+    assert make_port("/w").add_output(target) == (False, told)
+    if target.startswith(("mcast", "shmem", "http")):
+        assert "not offered here; use one of tcp, fast_tcp" in caplog.text
+
+
+def test_qualifiers_are_told(make_port: MakePort) -> None:
+    reader = make_port("/r", Reader())
+    writer = make_port("/w")
+    assert writer.add_output("tcp+recv.portmonitor+type.dll://r")[0]
+    assert writer.write(HELLO, wait=True, timeout=10) == 1
+    assert reader.inputs() == [Route("/w", "/r", "tcp")]
+
+
+def test_local_is_for_one_process(make_port: MakePort, naming: LocalNaming) -> None:
+    other = PortCore("/elsewhere", naming=naming)
+    other.open()
+    naming.register("/here", other.contact.host, other.contact.port)
+    writer = make_port("/w")
+    assert writer.add_output("local://here") == (False, "Cannot connect to local://here")
+    other.close()
+
+
+def test_no_outputs_where_none_are_wanted(make_port: MakePort) -> None:
+    make_port("/r")
+    assert make_port("/w", is_output=False).add_output("/r") == (False, "Outputs not allowed")
+
+
+def test_interrupted_port_drops(make_port: MakePort) -> None:
+    reader = Reader()
+    port = make_port("/r", reader)
+    writer = make_port("/w")
+    writer.add_output("/r")
+    port.interrupt()
+    writer.write(HELLO, wait=True, timeout=10)
+    assert port.counters.dropped["interrupted"] == 1
+    port.resume()
+    writer.write(HELLO, wait=True, timeout=10)
+    assert len(reader.got) == 1
+
+
+def test_a_message_may_be_the_last(make_port: MakePort) -> None:
+    def take(message: Message) -> None:
+        message.reply(HELLO)
+        message.drop()
+
+    server = make_port("/server", take)
+    client = make_port("/client")
+    client.add_output("/server")
+    assert client.request(HELLO, timeout=10) == HELLO
+    until(lambda: not server.inputs(), "the connection ends")
+
+
+def test_text_only_when_it_is_needed(make_port: MakePort) -> None:
+    reader = Reader()
+    make_port("/r", reader)
+    writer = make_port("/w")
+    writer.add_output("tcp://r")
+    writer.write(HELLO, wait=True, timeout=10, text=lambda: pytest.fail("nobody reads text"))
+    writer.add_output("text_ack://r")
+    writer.write(HELLO, wait=True, timeout=10, text=lambda: "made 1")
+    assert reader.got == [(["hello", 42, 3.5], ""), (["made", 1], "")]
+    with pytest.raises(WireError):
+        writer.write(b"no Bottle", wait=True, timeout=10)
+    assert writer.write(HELLO, wait=True, timeout=10) == 1, "and the connection is as it was"
+
+
+def test_asked_number_and_name(naming: LocalNaming) -> None:
+    from tests.support.ports import free_port
+
+    number = free_port()
+    port = PortCore("...", naming=naming, number=number)
+    contact = port.open()
+    assert contact.port == number
+    assert contact.name.startswith("/tmp/port/")
+    second = PortCore("/second", naming=naming, number=number)
+    with pytest.raises(OSError, match="in use"):
+        second.open()
+    assert naming.query("/second") is None
+    port.close()
+    port.close()
+    assert naming.query(contact.name) is None
+
+
+def test_registered_again_when_forgotten(
+    make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("yarp_compat.ports.watch.PERIOD", 0.05)
+    ports = [make_port("/a"), make_port("/b")]
+    where = [naming.query(p.name) for p in ports]
+    for port in ports:
+        naming.unregister(port.name)
+    until(lambda: [naming.query(p.name) for p in ports] == where, "both are known again, where they were")
+    ports[0].close()
+    assert naming.query("/a") is None

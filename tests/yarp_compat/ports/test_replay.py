@@ -1,0 +1,291 @@
+"""What real YARP programs said, said again to our ports and by them: the same bytes, in both roles and both dialects."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.transcripts import Talk, read
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire import message
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.carriers import frame
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.text import from_text
+
+Steps = list[tuple[int, str, bytes]]
+PROFILES = list(Profile)
+
+
+def in_profile(data: bytes, profile: Profile) -> bytes:
+    """A recorded message, which is 4.0's, as a program of that dialect says it."""
+    if not data.startswith(message.INDEX):
+        return data
+    word, payload = message.parse(data)
+    if word.key not in "dD":
+        return data
+    return message.prefix(len(content := encode(decode(payload, Profile.YARP4), profile)), word.key) + content
+
+
+def split(data: bytes) -> list[bytes]:
+    """Messages that were recorded in one piece."""
+    if data.startswith(message.INDEX):
+        size = message.index_size(data)
+        size += message.body_size(data)
+        return [data[:size], *(split(data[size:]) if data[size:] else [])]
+    if data.startswith((b"D\r\n", b"d\r\n")):
+        lines = data.split(b"\r\n")
+        return [b"\r\n".join(lines[i : i + 2]) + b"\r\n" for i in range(0, len(lines) - 1, 2)]
+    return [data]
+
+
+@contextlib.contextmanager
+def opened(name: str, number: int, **options: object) -> Iterator[tuple[PortCore, tuple[str, int]]]:
+    """A port that takes itself to be at the recorded number; and where it really is."""
+    port = PortCore(name, naming=LocalNaming(), **options)  # type: ignore[arg-type]
+    at = port.open()
+    port.contact = Contact(name, "127.0.0.1", number)
+    try:
+        yield port, (at.host, at.port)
+    finally:
+        port.close()
+
+
+def receive(sock: socket.socket, size: int) -> bytes:
+    """That many bytes."""
+    sock.settimeout(10)
+    came = b""
+    while len(came) < size and (part := sock.recv(size - len(came))):
+        came += part
+    return came
+
+
+def talks(name: str, *numbers: int, without: range = range(0)) -> list[Talk]:
+    """The recorded connections to some ports."""
+    return [talk for talk in read(name, joined=False) if talk.port in numbers and talk.number not in without]
+
+
+MCAST = range(15, 24)
+"""Connections of carriers-admin.txt that are about mcast, which is not offered here."""
+
+
+# -- ours accepts ------------------------------------------------------------------------------------------------------
+
+
+def as_acceptor(talk: Talk, address: tuple[str, int], profile: Profile) -> None:
+    """Say what the initiator said, and compare what is answered."""
+    with socket.create_connection(address) as sock:
+        for step in talk.steps:
+            if step.by == "C":
+                sock.sendall(in_profile(step.data, profile))
+            elif step.by == "S":
+                told = receive(sock, len(step.data))
+                if step.data.startswith(b"YA") and talk.steps[0].data.startswith(b"YAa"):
+                    assert message.framed(told), "udp: a number of its own"
+                elif step.data != b"\0\0\0\0":
+                    assert told == step.data
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_reader_of_connect(profile: Profile) -> None:
+    got: list[list[object]] = []
+
+    def take(incoming: Message) -> None:
+        got.append(decode(incoming.payload, profile))
+
+    with opened("/reader", 10002, on_message=take) as (_, address):
+        for talk in talks("connect.txt", 10002):
+            as_acceptor(talk, address, profile)
+        until(lambda: len(got) == 3, "three messages")
+    assert got == [["hello", 42, 3.5], [1, 2, 3], [["a", "b"], "ok", b"\1\2\xff", "x y", -7, 3000000000]]
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_rpc_server(profile: Profile) -> None:
+    def pong(incoming: Message) -> None:
+        assert decode(incoming.payload, profile) == ["ping", "hi there", 1.5]
+        incoming.reply(encode(["pong", 1, [2, 3]], profile))
+
+    with opened("/server", 10004, on_message=pong, rpc=True) as (port, address):
+        (talk,) = talks("rpc.txt", 10004)
+        as_acceptor(talk, address, profile)
+        assert port.counters.dropped.total() == 0
+
+
+def _comparable(talk: Talk) -> Talk:
+    """Without what belongs to the recorded machine and process, and without what the recording left out."""
+    if talk.number != 39:
+        return talk
+    kept = []
+    for request, answer in zip(talk.steps[::2], talk.steps[1::2], strict=True):
+        if b"prop\x09\0\0\0get\0\x04" in request.data:
+            continue  # about the process: see test_admin
+        kept += [request, answer]
+    return Talk(talk.number, talk.port, kept)
+
+
+@pytest.mark.parametrize("number", [t.number for t in talks("carriers-admin.txt", 10005, without=MCAST)])
+def test_reader_of_carriers(number: int) -> None:
+    got: list[str] = []
+    with opened("/r", 10005, on_message=lambda m: got.append(str(decode(m.payload)))) as (port, address):
+        (talk,) = [t for t in talks("carriers-admin.txt", 10005) if t.number == number]
+        if b"~/w" in talk.said("C"):
+            sock = socket.create_connection(address)
+            sock.sendall(b"YAd\x1e\0\0RP\x03\0\0\0/w\0")
+            until(port.inputs, "the connection that is to be removed")
+            as_acceptor(talk, address, Profile.YARP4)
+            assert sock.recv(100)[:2] == b"YA"
+            assert sock.recv(100) == b"", "removed"
+            sock.close()
+            return
+        if number == 39:
+            help_at = next(i for i, s in enumerate(talk.steps) if b"help" in s.data and s.by == "C")
+            _check_help(talk.steps[help_at].data, talk.steps[help_at + 1].data, address)
+            del talk.steps[help_at : help_at + 2]
+        as_acceptor(_comparable(talk), address, Profile.YARP4)
+        count = sum(len(split(s.data)) for s in talk.steps if s.by == "C" and s.data[:1] in b"DY" and b"msg" in s.data)
+        until(lambda: len(got) == count, f"{count} messages")
+        assert all("msg" in g for g in got)
+
+
+def _check_help(request: bytes, answer: bytes, address: tuple[str, int]) -> None:
+    """The answer is longer than was kept; what was kept must be the same."""
+    with socket.create_connection(address) as sock:
+        sock.sendall(b"YA\xe4\x1e\0\0RP\x09\0\0\0anon_rpc\0" + request)
+        assert receive(sock, 8 + 1494)[8:][: len(answer)] == answer
+        assert len(answer) == 0x200
+
+
+def test_writer_takes_companions() -> None:
+    """A port that is only asked what it is connected to."""
+    with opened("/w", 10006) as (_, address):
+        for number in (1, 7, 24):
+            (talk,) = [t for t in talks("carriers-admin.txt", 10006) if t.number == number]
+            as_acceptor(talk, address, Profile.YARP4)
+
+
+# -- ours calls --------------------------------------------------------------------------------------------------------
+
+
+class Stage:
+    """Plays everybody but our port, in the recorded order: the companion that talks to ours, and the port that ours calls."""
+
+    def __init__(self, port: PortCore, address: tuple[str, int], own: int, peer: int, profile: Profile) -> None:
+        self.port = port
+        self.address = address
+        self.own = own
+        self.peer = peer
+        self.profile = profile
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.server.settimeout(10)
+        self.datagrams = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.datagrams.bind(("127.0.0.1", 0))
+        self.socks: dict[int, socket.socket] = {}
+
+    def close(self) -> None:
+        for sock in (self.server, self.datagrams, *self.socks.values()):
+            sock.close()
+
+    def play(self, recorded: list[Talk]) -> None:
+        """All of it."""
+        by_time = sorted(
+            ((step.time, talk.number, step, talk) for talk in recorded for step in talk.steps),
+            key=lambda s: (s[0], s[1]),
+        )
+        for _, _, step, talk in by_time:
+            calls_us = talk.port == self.own
+            if calls_us and talk.number not in self.socks:
+                self.socks[talk.number] = socket.create_connection(self.address)
+            if step.by == ("C" if calls_us else "S"):
+                self._say(talk, step.data)
+            else:
+                self._hear(talk, step.data)
+
+    def _say(self, talk: Talk, data: bytes) -> None:
+        if talk.steps[0].data.startswith(b"YAa") and data.startswith(b"YA"):
+            data = frame(self.datagrams.getsockname()[1])
+        self.socks[talk.number].sendall(data)
+
+    def _hear(self, talk: Talk, data: bytes) -> None:
+        if talk.number not in self.socks:
+            self.socks[talk.number] = self.server.accept()[0]
+        for part in split(data):
+            self._provoke(part)
+            expected = in_profile(part, self.profile)
+            assert receive(self.socks[talk.number], len(expected)) == expected
+
+    def _provoke(self, expected: bytes) -> None:
+        """Have our port write what is expected next, where that is data."""
+        if expected.startswith((b"D\r\n", b"d\r\n")):
+            self.port.write(encode(from_text(expected.split(b"\r\n")[1].decode()), self.profile), strict=True)
+        elif expected.startswith(message.INDEX):
+            word, payload = message.parse(expected)
+            if word.key in "dD":
+                self.port.write(encode(decode(payload, Profile.YARP4), self.profile), strict=True)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize(
+    ("name", "own", "other", "file"),
+    [("/writer", 10003, ("/reader", 10002), "connect.txt"), ("/w", 10006, ("/r", 10005), "carriers-admin.txt")],
+)
+def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile: Profile) -> None:
+    """A companion connects our port to another, ours writes, it is disconnected: by fast_tcp, udp, text and text_ack."""
+    with opened(name, own, profile=profile) as (port, address):
+        stage = Stage(port, address, own, other[1], profile)
+        port.naming.register(other[0], *stage.server.getsockname())
+        try:
+            recorded = [t for t in talks(file, own, other[1], without=MCAST if own == 10006 else range(0)) if t.steps]
+            if own == 10003:  # there the writer ended with its process
+                recorded = [_without_quit(t) for t in recorded]
+            else:
+                recorded = [t for t in recorded if t.number < 36]
+            stage.play(recorded)
+        finally:
+            stage.close()
+
+
+def _without_quit(talk: Talk) -> Talk:
+    at = next((i for i, s in enumerate(talk.steps) if s.data == message.QUIT), len(talk.steps))
+    return Talk(talk.number, talk.port, talk.steps[:at])
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_rpc_client(profile: Profile) -> None:
+    (talk,) = talks("rpc.txt", 10004)
+    hello, answer, request, reply, farewell, acknowledged = [s.data for s in talk.steps]
+    with (
+        opened("/client", 10010, profile=profile, rpc=True) as (port, _),
+        socket.create_server(("127.0.0.1", 0)) as server,
+    ):
+        port.naming.register("/server", *server.getsockname())
+        port.name = "anon_rpc"
+        heard: list[bytes] = []
+
+        def serve() -> None:
+            sock, _ = server.accept()
+            with sock:
+                heard.append(receive(sock, len(hello)))
+                sock.sendall(answer)
+                heard.append(receive(sock, len(in_profile(request, profile))))
+                sock.sendall(reply)
+                heard.append(receive(sock, len(farewell)))
+                sock.sendall(acknowledged)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        assert port.add_output("/server")[0]
+        told = port.request(encode(["ping", "hi there", 1.5], profile), timeout=10)
+        assert decode(told, profile) == ["pong", 1, [2, 3]]
+        port.remove_output("/server")
+        thread.join(10)
+        port.name = "/client"
+    assert heard == [hello, in_profile(request, profile), farewell]
