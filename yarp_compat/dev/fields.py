@@ -51,8 +51,9 @@ class Integer(Field):
 
     def __init__(self, bits: int, *, unsigned: bool = False) -> None:
         self._tag = {8: tags.INT8, 16: tags.INT16, 32: tags.INT32, 64: tags.INT64}[bits]
-        self._low, self._high = (0, 2**bits) if unsigned else (-(2 ** (bits - 1)), 2 ** (bits - 1))
-        self._wrap = 2**bits if unsigned else 0
+        self._high = 1 << (bits if unsigned else bits - 1)
+        self._low = 0 if unsigned else -self._high
+        self._wrap = self._high if unsigned else 0
         self.name = f"{'u' if unsigned else 'i'}{bits}"
 
     def write(self, out: Writer, value: Any, *, tagged: bool = True) -> None:

@@ -154,7 +154,7 @@ class Server:
     def _called(self, call: Call, arguments: list[Any], generation: Generation, profile: Profile, peer: str) -> bytes:
         name = f"{type(self._service).__name__}.{call.name}"
         try:
-            results = _results(call, getattr(self._service, call.name)(*arguments))
+            results: list[Any] | None = _results(call, getattr(self._service, call.name)(*arguments))
         except CallFailed as error:
             log.info("%s for %s: %s", name, peer or "?", error)
             results = _failed(call, error.code)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from functools import cache, wraps
+from functools import wraps
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from yarp_compat.dev.call import Call
@@ -54,6 +54,7 @@ class Service:
 
     PROTOCOL: ClassVar[int] = 0
     """The protocol that clients of YARP 4 ask for."""
+    _calls_made: ClassVar[Mapping[str, Call]]
 
     def __init__(self, channel: Channel | None = None) -> None:
         self._channel = channel
@@ -61,7 +62,10 @@ class Service:
     @classmethod
     def calls(cls) -> Mapping[str, Call]:
         """All its methods by name."""
-        return _calls(cls)
+        found = cls.__dict__.get("_calls_made")
+        if found is None:
+            found = cls._calls_made = _calls(cls)
+        return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
         """Ask the server for its protocol, as clients of YARP 4 do; a server that says one is taken for 4.0.
@@ -136,7 +140,6 @@ def version_end(data: Buffer) -> int:
     return VERSION.size
 
 
-@cache
 def _calls(kind: type[Service]) -> Mapping[str, Call]:
     found = {}
     for owner in reversed(kind.__mro__):

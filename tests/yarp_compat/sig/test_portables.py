@@ -176,7 +176,8 @@ def test_what_is_wrong_is_said(kind: type[Portable], data: str, what: str) -> No
 def test_an_images_lies_are_refused_before_memory_is_taken() -> None:
     good = bytearray(rgb().to_bytes())
     for place, value in [(12 + 4, b"\xff\xff\xff\x7f"), (28, b"\x04"), (32, b"\xff\xff\xff\x7f"), (36, b"\xff"),
-                         (40, b"\xff\xff\xff\x7f"), (44, b"\xff\xff\xff\x7f"), (52, b"\x10"), (0, b"\1")]:  # fmt: skip
+                         (40, b"\xff\xff\xff\x7f"), (44, b"\xff\xff\xff\x7f"), (52, b"\x10"),
+        (56, b"\x07"), (0, b"\1")]:  # fmt: skip
         bad = bytearray(good)
         bad[place : place + len(value)] = value
         for kind in (ImageRgb, FlexImage):
