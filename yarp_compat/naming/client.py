@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from yarp_compat.naming import config, talk
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.errors import NameRefusedError, NamingError, NoNameServerError
+from yarp_compat.naming.keeper import KEEPER
 from yarp_compat.naming.lines import LineSocket
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import Contact, is_name
@@ -41,6 +43,7 @@ class NameClient:
         self._given = address
         self._found: Address | None = None
         self._timeout = timeout
+        self._registered: dict[str, _Registered] = {}
 
     @property
     def address(self) -> Address:
@@ -85,10 +88,23 @@ class NameClient:
             raise NameRefusedError(msg)
         for key, words in self._about().items():
             self.line(["set", contact.name, key, *words])
+        self._registered[contact.name] = _Registered(contact)
         return contact
+
+    def restore(self, contact: Contact) -> None:
+        """Tell a name server that forgot it of a port that listens, and of what was set at it."""
+        former = self._registered.get(contact.name)
+        self.register(contact.name, contact.host, contact.port, carrier=contact.carrier)
+        if former:
+            self._registered[contact.name] = former
+            for key, values in list(former.properties.items()):
+                self.set_property(contact.name, key, *values)
+        self.announce(contact.name)
 
     def unregister(self, name: str) -> None:
         """Forget a port; see `Naming.unregister`."""
+        KEEPER.forget(self, name)
+        self._registered.pop(name, None)
         self.lines(["unregister", name])
 
     def query(self, name: str) -> Contact | None:
@@ -110,6 +126,8 @@ class NameClient:
 
     def set_property(self, name: str, key: str, *values: Any) -> None:
         """Keep values under a key of a port; see `Naming.set_property`."""
+        if name in self._registered:
+            self._registered[name].properties[key] = values
         command = ["set", name, key, *values]
         if any(_is_quoted(v) for v in values):
             talk.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes
@@ -121,8 +139,14 @@ class NameClient:
         return from_text(self.line(["bot", "get", name, key]))
 
     def announce(self, name: str, alive: bool = True) -> None:
-        """Say that a port listens now, or that it does not respond; see `Naming.announce`."""
+        """Say that a port listens now, or that it does not respond; see `Naming.announce`.
+
+        A port that was registered here is looked after from then on: a name server that comes back without its memory
+        is told of it again, until it is unregistered.
+        """
         self.lines(["announce", name] if alive else ["announce", name, 0])
+        if alive and name in self._registered:
+            KEEPER.keep(self, self._registered[name].contact)
 
     def lines(self, command: Sequence[Any]) -> Lines:
         """Any command that is answered in lines; returns them without the end mark.
@@ -200,6 +224,14 @@ class NameClient:
             "ips": self._own_addresses(),
             "process": [os.getpid()],
         }
+
+
+@dataclass(slots=True)
+class _Registered:
+    """A port that was registered here, and what was set at it."""
+
+    contact: Contact
+    properties: dict[str, Sequence[Any]] = field(default_factory=dict)
 
 
 def _is_quoted(value: Any) -> bool:

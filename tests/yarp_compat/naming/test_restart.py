@@ -1,0 +1,203 @@
+"""A name server that goes away and comes back under live connections."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
+
+import pytest
+
+from tests.support.process import Process
+from tests.support.wait import until
+from tests.yarp_compat.naming.test_server import low_port
+from yarp_compat.naming import connections, keeper
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.errors import NoNameServerError
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.profile import Profile
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keeper, "PERIOD", 0.05)
+
+
+class Pair:
+    """Two connected ports, numbers from one to the other all the time."""
+
+    def __init__(self, address: Address) -> None:
+        self.names = NameClient(address, timeout=2.0)
+        self.came: list[int] = []
+        self.losses: list[object] = []
+        self.reader = PortCore("/reader", on_message=self._take, naming=self.names)
+        self.writer = PortCore("/writer", naming=self.names, on_event=self._note)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._write)
+
+    def __enter__(self) -> Self:
+        self.reader.open()
+        self.writer.open()
+        connections.connect(self.names, "/writer", "/reader")
+        self._thread.start()
+        until(lambda: self.came, "messages come")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.writer.close()
+        self.reader.close()
+
+    def _note(self, event: ConnectionEvent) -> None:
+        if not event.up and not event.incoming:
+            self.losses.append(event)
+
+    def _take(self, message: Message) -> None:
+        self.came += decode(message.payload)
+
+    def _write(self) -> None:
+        number = 0
+        while not self._stop.wait(0.002):
+            self.writer.write(encode([number], Profile.YARP3), wait=True, timeout=10.0)
+            number += 1
+
+    def check(self) -> None:
+        """Not one message was lost, and messages still come."""
+        seen = len(self.came)
+        until(lambda: len(self.came) > seen + 3, "messages still come")
+        came = list(self.came)
+        assert came == list(range(len(came)))
+        assert not self.losses
+
+
+def where(names: NameClient, *ports: PortCore) -> Callable[[], bool]:
+    """Whether the name server knows ports where they are."""
+
+    def known() -> bool:
+        try:
+            return all(names.query(p.name) == p.contact for p in ports)
+        except NoNameServerError:
+            return False
+
+    return known
+
+
+def test_without_memory_ports_register_again() -> None:
+    """With the same numbers, what was set at them, and an announcement; the data connection notices nothing."""
+    port = low_port()
+    first = NameServer(port=port, gc_seconds=0).open()
+    with Pair(first.address) as pair:
+        pair.names.set_property("/reader", "type", "std_msgs/String", "two words")
+        first.close()
+        pair.check()
+        with NameServer(port=port, gc_seconds=0) as second:
+            names = NameClient(second.address)
+            until(where(names, pair.reader, pair.writer), "both are registered again")
+            until(
+                lambda: set(names.get_property("/reader", "type")) == {"std_msgs/String", "two words"},
+                "what was set is set again",
+            )
+            assert "fast_tcp" in names.get_property("/writer", "offers")
+            names.command(["subscribe", "/writer", "/reader"])
+            pair.check()
+            assert names.register("/other").port not in (pair.reader.contact.port, pair.writer.contact.port)
+            pair.writer.close()
+            assert names.query("/writer") is None
+
+
+@pytest.mark.parametrize("remembers", [True, False])
+def test_killed(tmp_path: Path, remembers: bool) -> None:
+    """``midspan yarp server`` killed with -9, and started again: nothing is lost, and it knows the ports."""
+    address = Address("127.0.0.1", low_port())
+    args = [sys.executable, "-m", "bridge.cli.main", "yarp", "server", "--port", str(address.port), "--gc", "0"]
+    args += ["--state", str(tmp_path / "names.json")] if remembers else ["--forget"]
+    env = {**os.environ, "YARP_CONFIG_HOME": str(tmp_path), "YARP_NAMESPACE": "/root"}
+    names = NameClient(address)
+    with ExitStack() as stack:
+
+        def start() -> Process:
+            server = Process(args, env)
+            stack.callback(server.stop)
+            until(lambda: _answers(names), "it answers", seconds=30.0)
+            return server
+
+        server = start()
+        pair = stack.enter_context(Pair(address))
+        names.command(["subscribe", "/writer", "/reader"])
+        if remembers:
+            until(lambda: _written(tmp_path / "names.json"), "it is written down")
+        server.signal(signal.SIGKILL)
+        server.popen.wait()
+        pair.check()
+        start()
+        until(where(names, pair.reader, pair.writer), "both are known again")
+        kept = names.command(["subscribe"])[1:]
+        assert kept == ([["subscription", ["src", "/writer"], ["dest", "/reader"]]] if remembers else [])
+        pair.check()
+
+
+def _written(file: Path) -> bool:
+    return bool(json.loads(file.read_text())["subscriptions"]["subscriptions"])
+
+
+def _answers(names: NameClient) -> bool:
+    try:
+        return names.query("/none") is None
+    except NoNameServerError:
+        return False
+
+
+@pytest.fixture(name="server")
+def fixture_server() -> Iterator[NameServer]:
+    """A name server."""
+    with NameServer(port=low_port(), gc_seconds=0) as server:
+        yield server
+
+
+def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
+    """And the thread that looks ends with the last port."""
+    names = NameClient(server.address)
+    port = PortCore("/p", naming=names)
+    port.open()
+    assert any(t.name == "yarp names" for t in threading.enumerate())
+    port.close()
+    assert not any(t.name == "yarp names" for t in threading.enumerate())
+    assert server.registry.find("/p") is None
+
+
+def test_many_ports(server: NameServer) -> None:
+    """Where one is missing, all are asked for."""
+    names = NameClient(server.address)
+    ports = [PortCore(f"/p{i}", naming=names) for i in range(12)]
+    for port in ports:
+        port.open()
+    others = NameClient(server.address)
+    for port in ports[::2]:
+        others.unregister(port.name)
+    until(where(others, *ports), "all are registered")
+    for port in ports:
+        port.close()
+    assert others.list() == [server.contact]
+
+
+def test_a_name_that_another_took(server: NameServer, caplog: pytest.LogCaptureFixture) -> None:
+    """It is left to him, and said once."""
+    names = NameClient(server.address)
+    port = PortCore("/p", naming=names)
+    port.open()
+    taken = NameClient(server.address).register("/p", "127.0.0.1", 12345)
+    until(lambda: "the name /p was taken by a port at tcp://127.0.0.1:12345/" in caplog.text, "it is said")
+    assert names.query("/p") == taken
+    port.close()
