@@ -211,11 +211,11 @@ class Value(Portable, Searchable):
         """A copy, with lists of its own."""
         return Value.of(cloned(self._value))
 
-    def getCode(self) -> int:
-        """The tag of its type in YARP 3; a list's with that of its elements; -1 for null."""
+    def getCode(self, profile: Profile = Profile.YARP3) -> int:
+        """The tag of its type; a list's with that of its elements; -1 for null."""
         if self._value is None:
             return -1
-        data = encode([self._value], Profile.YARP3)
+        data = encode([self._value], profile)
         (tag, first) = (int.from_bytes(data[at : at + 4], "little") for at in (0, 8))
         return tag & tags.UNIT or first
 

@@ -203,6 +203,8 @@ def plain(value: Any) -> Any:
     Raises:
         WireError: there is none.
     """
+    if isinstance(value, bool):
+        return value
     if hasattr(value, "dtype"):
         return value if value.ndim else _scalar(value)
     kind: Any
@@ -219,7 +221,7 @@ def plain(value: Any) -> Any:
 def _scalar(value: Any) -> Any:
     kind = value.dtype.str[1:]
     made = {"i1": Int8, "u1": Int8, "i2": Int16, "u2": Int16, "i8": Int64, "u8": Int64, "f2": Float32, "f4": Float32}
-    return made.get(kind, lambda item: item)(value.item())
+    return plain(made.get(kind, lambda item: item)(value.item()))
 
 
 def _utf8(text: str) -> bytes:

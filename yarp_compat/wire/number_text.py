@@ -19,8 +19,8 @@ _LARGEST = 2**63 - 1
 def number(word: str) -> int | float | None:
     """The number that a word is to YARP; None where it is a string.
 
-    Ints saturate at 64 bits. What looks like a number but is none counts as far as it is one: ``-`` is 0, ``1-2`` is 1,
-    ``010`` is 8 (octal), ``1.5-2`` is 1.5 (YARP 4 makes 0 of a float like that one).
+    Ints saturate at 64 bits. What looks like an int but is none counts as far as it is one: ``-`` is 0, ``1-2`` is 1,
+    ``010`` is 8 (octal). What looks like a float but is none is 0.0: ``1.5-2`` (since YARP 3.6).
     """
     if _INT.fullmatch(word):
         return int(word)
@@ -54,8 +54,7 @@ def _c_int(word: str) -> int:
 
 
 def _c_float(word: str) -> float:
-    """What `strtod` makes of the beginning of a word."""
-    if found := _C_HEX_FLOAT.match(word):
-        return float.fromhex(found[0])
-    found = _C_FLOAT.match(word)
-    return float(found[0]) if found else 0.0
+    """What `strtod` makes of a word, all of which it must take."""
+    if _C_HEX_FLOAT.fullmatch(word):
+        return float.fromhex(word)
+    return float(word) if _C_FLOAT.fullmatch(word) else 0.0

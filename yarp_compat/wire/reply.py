@@ -177,7 +177,7 @@ class _Walk:
             raise WireError(f"{tag:#x} at byte {at} is no list's tag")
         if unit and unit not in (tags.STRING, tags.BLOB) and unit not in self._sizes:
             raise WireError(f"{unit} in a list's tag at byte {at} is no type's tag")
-        if len(self._outer) > tags.MAX_DEPTH:
+        if len(self._outer) >= tags.MAX_DEPTH:
             raise WireError(f"lists are nested deeper than {tags.MAX_DEPTH} at byte {at}")
         if count < 0:
             raise WireError(f"the list at byte {at} has {count} elements")

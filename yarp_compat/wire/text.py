@@ -21,9 +21,18 @@ from yarp_compat.wire.number_text import number
 from yarp_compat.wire.tags import MAX_DEPTH
 from yarp_compat.wire.values import Float32, Vocab, Vocab64
 
-LARGEST_WORK = 64 << 20
-"""Characters looked at beyond a text's own: each level of nesting looks at its own once more."""
+LARGEST_WORK = 4 << 20
+"""Characters looked at, beyond its own, in a text that is not well formed."""
 
+_NEXT = re.compile(
+    r"""[ \t\n\r,]*+ (?: (\() | (?:
+        (\)) | ( [^ \t\n\r,"\\(){}]++ | "(?>[^"\\]++|\\.)*+" | \{[^(){}"\\]*+\} )
+    ) (?=[ \t\n\r,)]|\Z) )""",
+    re.DOTALL | re.VERBOSE,
+)
+"""What comes next in a well formed text: a list begins (1) or ends (2), or there is another word (3)."""
+_SPECIAL = re.compile(r'[\\"(){}]')
+_WORDS = re.compile(r"[^ \t\n\r,]+")
 _MARK = re.compile(r'\\.|[ \t\n\r,"(){}]', re.DOTALL)
 _SEPARATORS = " \t\n\r,"
 _LISTS = {"(": 1, ")": -1}
@@ -45,6 +54,29 @@ def from_text(text: str) -> list[Any]:
     Raises:
         WireError: lists are nested too deep, or so that it would take too long.
     """
+    if _SPECIAL.search(text) is None:
+        return [_value(word) for word in _WORDS.findall(text)]
+    at = 0
+    values: list[Any] = []
+    outer: list[list[Any]] = []
+    while found := _NEXT.match(text, at):
+        at = found.end()
+        kind = found.lastindex
+        if kind == 3:
+            values.append(_value(found[3]))
+        elif kind == 1:
+            if len(outer) == MAX_DEPTH:
+                raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH} at character {at}")
+            outer.append(values)
+            values = []
+        elif outer:
+            outer[-1].append(values)
+            values = outer.pop()
+        else:
+            break
+    else:
+        if not outer and not text[at:].strip(_SEPARATORS):
+            return values
     return _Reader(text).values(text, 0)
 
 
@@ -76,7 +108,10 @@ def plain_text(value: Any) -> str:
 
 
 class _Reader:
-    """Reads one text, and counts what it takes."""
+    """Reads any text as YARP does: each list's text is what stands between its word's first and last character.
+
+    It looks at a text once more for each level of nesting, so well formed texts are read without it.
+    """
 
     def __init__(self, text: str) -> None:
         self._left = LARGEST_WORK + len(text)
@@ -86,32 +121,40 @@ class _Reader:
         self._left -= len(text)
         if depth > MAX_DEPTH or self._left < 0:
             raise WireError(f"lists in a text are nested deeper than {MAX_DEPTH}, or too deep for its length")
-        return [self._value(word, depth) for word in _split(text)[0]]
+        return [self._value(word, depth + 1) for word in _split(text)[0]]
 
     def _value(self, word: str, depth: int) -> Any:
-        if word in _NAMES:
-            return _NAMES[word]
-        first = word[0]
-        if first == "(":
-            return self.values(word[1:-1], depth + 1)
-        if first == "[":
-            return _read_vocab(word[1:-1])
-        if first == "{":
-            return self._blob(word[1:-1], depth)
-        if first in _NUMERIC and (found := number(word)) is not None:
-            return found
-        text = word[1:-1] if first == '"' else word
-        if "\\" in text:
-            text = _ESCAPE.sub(lambda match: _ESCAPED.get(match[1], match[1]), text)
-            if first != '"':
-                return _TRUTHS.get(text, text)
-        return text
+        if word[0] == "(":
+            return self.values(word[1:-1], depth)
+        if word[0] == "{":
+            return bytes([_low_byte(value) for value in self.values(word[1:-1], depth)])
+        return _value(word)
 
-    def _blob(self, text: str, depth: int) -> bytes:
-        if _PLAIN_NUMBERS.fullmatch(text):
-            with contextlib.suppress(ValueError):
-                return bytes(map(int, text.split()))
-        return bytes([_low_byte(value) for value in self.values(text, depth + 1)])
+
+def _value(word: str) -> Any:
+    """The value of a word, which is neither a list nor a blob that holds more than numbers."""
+    if word in _NAMES:
+        return _NAMES[word]
+    first = word[0]
+    if first in _NUMERIC and (found := number(word)) is not None:
+        return found
+    if first == "[":
+        return _read_vocab(word[1:-1])
+    if first == "{":
+        return _blob(word[1:-1])
+    text = word[1:-1] if first == '"' else word
+    if "\\" in text:
+        text = _ESCAPE.sub(lambda match: _ESCAPED.get(match[1], match[1]), text)
+        if first != '"':
+            return _TRUTHS.get(text, text)
+    return text
+
+
+def _blob(text: str) -> bytes:
+    if _PLAIN_NUMBERS.fullmatch(text):
+        with contextlib.suppress(ValueError):
+            return bytes(map(int, text.split()))
+    return bytes([_low_byte(value) for value in from_text(text)])
 
 
 def _split(text: str) -> tuple[list[str], bool]:
