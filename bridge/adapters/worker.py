@@ -21,7 +21,11 @@ _log = logging.getLogger(__name__)
 SWITCH_INTERVAL = 0.0002
 """Seconds after which a thread that only computes gives way to one that has a message."""
 
-EDGES = {"ros1": "bridge.adapters.ros1.edge:Ros1Edge", "ros2": "bridge.adapters.ros2.edge:Ros2Edge"}
+EDGES = {
+    "ros1": "bridge.adapters.ros1.edge:Ros1Edge",
+    "ros2": "bridge.adapters.ros2.edge:Ros2Edge",
+    "yarp": "bridge.adapters.yarp.edge:YarpEdge",
+}
 """Edge class of each side that has one network; imported in that side's worker alone."""
 
 DIALECTS = "bridge.adapters.zenoh.dialects:make_edges"

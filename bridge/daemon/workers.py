@@ -52,8 +52,10 @@ class WorkerKind:
         return worker
 
     def enabled(self, config: Config) -> Enabled:
-        """What the configuration says; without a dialect there is no zenoh side to speak of."""
+        """What the configuration says; without a dialect there is no zenoh side to speak of, nor a YARP side unused."""
         if self.name == "zenoh" and not config.zenoh.dialects:
+            return False
+        if self.name == "yarp" and config.yarp.enabled == "auto" and self.missing(config):
             return False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
@@ -97,6 +99,7 @@ WORKERS = (
     WorkerKind("router", "bridge.hub.router:RouterWorker", outlives=True),
     _side("ros1"),
     _side("ros2"),
+    _side("yarp"),
     _side("zenoh"),
 )
 

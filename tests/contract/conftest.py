@@ -16,6 +16,7 @@ from tests.contract.hubside import HubSide
 from tests.contract.ros1side import Ros1Side
 from tests.contract.ros2side import Ros2Side
 from tests.contract.side import CUSTOM_FOLDER, Bridge, Side
+from tests.contract.yarpside import YarpSide
 from tests.contract.zenohside import Ros1KeysSide, Ros2ddsSide
 from tests.support.hub import HubNetwork
 from tests.support.quick_hub import QuickHub
@@ -26,6 +27,7 @@ SIDES: dict[str, Callable[..., Side]] = {
     "ros2": Ros2Side,
     "zenoh_ros2dds": Ros2ddsSide,
     "zenoh_ros1": Ros1KeysSide,
+    "yarp": YarpSide,
 }
 
 
