@@ -201,6 +201,10 @@ class Edge(ABC):
         """The legal hub topic name for one of the side's."""
         return side_name
 
+    def is_heard(self, topic: str) -> bool:
+        """Whether somebody else on the side subscribes to a topic."""
+        return any(e.topic == topic and e.kind is Kind.SUBSCRIPTION for e in self.endpoints())
+
     def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
         """The process stood still for so long, maybe until the network took it for dead, and runs again."""
 

@@ -27,7 +27,7 @@ ROUTES_AT_ONCE = 100
 
 
 class Diagnostics:
-    """Publishes one status for the worker and one for each route, once a second while the side is there.
+    """Publishes one status for the worker and one for each route, once a second while anybody on the side listens.
 
     Beyond `ROUTES_AT_ONCE` the routes take turns.
     """
@@ -53,6 +53,8 @@ class Diagnostics:
         try:
             if self._publisher is None:
                 self._publisher = self._edge.advertise(TOPIC, self._type, Qos(depth=10))
+            if not self._edge.is_heard(TOPIC):
+                return
             cdr = self._to_hub(self._array())
             self._publisher.send(cdr if self._convert is None else self._convert(cdr), "diagnostics")
         except MessageError as err:

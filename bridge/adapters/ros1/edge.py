@@ -140,6 +140,11 @@ class Ros1Edge(Edge):
         found += [self._subscriber(link, look) for link in look.subscribers if link.node != own]
         return found
 
+    def is_heard(self, topic: str) -> bool:
+        """See `Edge.is_heard`; asked each second, so without making endpoints of everything."""
+        look, own = self._look, self._caller()
+        return look is not None and any(s.topic == topic and s.node != own for s in look.subscribers)
+
     def others(self) -> Sequence[Presence]:
         """Other nodes of Midspan's on this network that are alive, in the order of their names."""
         return self._links.living()

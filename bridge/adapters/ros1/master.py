@@ -14,6 +14,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
 from bridge.adapters.ros1.graph import Look, Looker
@@ -37,6 +38,14 @@ Seen = Callable[[Look | None], None]
 Lost = Callable[[str], None]
 
 
+class _Own(NamedTuple):
+    """The topics that the master has of our node at one look."""
+
+    look: Look
+    published: frozenset[str]
+    subscribed: frozenset[str]
+
+
 class Master:
     """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
 
@@ -58,6 +67,7 @@ class Master:
         self._client = RpcClient(uri, _TIMEOUT)
         self._looker = Looker(self._client, node.name)
         self._run_id: str | None = None
+        self._own: _Own | None = None
         self._failures = 0
         self._answered = time.monotonic()
         self._refused: set[str] = set()
@@ -204,8 +214,15 @@ class Master:
         name, uri = self._node.name, self._node.uri
         self._ended |= self._node.take_removed()
         published, subscribed = self._node.publications(), self._node.subscriptions()
-        has_published = {p.topic for p in look.publishers if p.node == name and p.uri == uri}
-        has_subscribed = {s.topic for s in look.subscribers if s.node == name and s.uri == uri}
+        if self._own is None or self._own.look is not look:
+            self._own = _Own(
+                look,
+                *(
+                    frozenset(r.topic for r in registered if r.node == name and r.uri == uri)
+                    for registered in (look.publishers, look.subscribers)
+                ),
+            )
+        has_published, has_subscribed = self._own.published, self._own.subscribed
         # A publication that ended and was made anew between two looks is told as both: a rospy subscriber whose
         # connection broke comes again only when the master tells of a publisher that it did not have.
         standing = has_published & published.keys() - self._ended
