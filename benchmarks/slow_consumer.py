@@ -28,7 +28,6 @@ SOURCE = {"ros1": "ros2", "ros2": "ros1", "zenoh": "ros2"}
 BIG, SMALL = "/big", "/small"
 SMALL_RATE = 100.0
 PAUSE = 1.0
-DRAIN_SECONDS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +144,7 @@ def _watch(
     rates: dict[str, dict[str, float]] = {}
     for stream in streams:
         rates.setdefault(stream.source, {}).update(stream.rates)
+    deployment.drained(*(stream.side for stream in streams))
     start = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
     told = {stream.side: stream.heard() for stream in streams}
     memory: dict[str, float] = {}
@@ -156,7 +156,7 @@ def _watch(
             memory[name] = max(memory.get(name, 0.0), usage.rss)
         time.sleep(0.1)
     sent = {name: n for source in rates for name, n in deployment.ask(source, "still")["sent"].items()}
-    time.sleep(DRAIN_SECONDS)
+    deployment.drained(*(stream.side for stream in streams))
     found = {}
     for stream in streams:
         heard = stream.heard()

@@ -39,7 +39,6 @@ MIX = (
 LATCHED = (("grid", 0.1), ("string", 0.1))
 """The same of the latched topics, of which each side has these."""
 COMMAND = "twist"
-DRAIN_SECONDS = 3.0
 JOIN_SECONDS = 10.0
 
 
@@ -109,7 +108,7 @@ class Soak:
         for side in SIDES:
             heard = [t for t in topics if t.source != side]
             deployment.ask(_ear(side), "subscribe", topics=self._described(side, heard))
-        deployment.until(self._crosses, "every topic crosses", 60.0)
+        deployment.until(self._crosses, "every topic crosses", every=0.3)
 
     def _described(self, side: str, topics: Sequence[Topic]) -> list[dict[str, Any]]:
         return [self._deployment.topic(side, t.name, t.kind, latched=t.latched) for t in topics]
@@ -117,9 +116,7 @@ class Soak:
     def _crosses(self) -> bool:
         for side in SIDES:
             self._deployment.ask(side, "put", topics=[t.name for t in self._topics if t.source == side])
-        time.sleep(0.3)
-        reports = [self._deployment.ask(_ear(side), "report")["heard"] for side in SIDES]
-        return all(ear["count"] for heard in reports for ear in heard.values())
+        return not any(self._unheard(_ear(side)) for side in SIDES)
 
     def run(self, seconds: float, every: float) -> None:
         """Send and count for so long, with a look every while; Ctrl-C ends it early and in good order."""
@@ -136,7 +133,7 @@ class Soak:
             print("ended early", file=sys.stderr)
         for side in SIDES:
             self.sent |= deployment.ask(side, "still")["sent"]
-        time.sleep(DRAIN_SECONDS)
+        deployment.drained(*map(_ear, SIDES))
         self._sums = self._count()
 
     def _look(self, seconds: float) -> None:
@@ -164,15 +161,15 @@ class Soak:
             topics = [t for t in self._topics if t.latched and t.source != side]
             deployment.ask(side, "subscribe", topics=self._described(side, topics))
             end = time.monotonic() + JOIN_SECONDS
-            while True:
-                heard = deployment.ask(side, "report")["heard"]
-                missing = sum(not ear["count"] for ear in heard.values())
-                if not missing or time.monotonic() > end:
-                    break
+            while (missing := self._unheard(side)) and time.monotonic() < end:
                 time.sleep(0.05)
             deployment.ask(side, "drop", publish=[], subscribe=[t.name for t in topics])
             self.course.joins += len(topics)
             self.course.unanswered += missing
+
+    def _unheard(self, program: str) -> int:
+        """Topics of a program on which nothing has come."""
+        return sum(not ear["count"] for ear in self._deployment.ask(program, "report")["heard"].values())
 
     def _count(self) -> Sums:
         sums, kinds = Sums(), {t.name: t.kind for t in self._topics}

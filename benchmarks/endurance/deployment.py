@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import xmlrpc.client
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +14,8 @@ from benchmarks.latency.usage import DAEMON, WORKERS, Meter, Usage, processes
 from bridge.hub.session import Hub, HubSettings
 
 SIDES = ("ros1", "ros2", "zenoh")
+QUIET_SECONDS = 1.0
+"""After so long without a message no more is expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,15 @@ class Deployment(Stage):
     def routes(self, prefix: str) -> dict[str, int]:
         """Routes of each worker for topics that begin so."""
         return {side: sum(r["topic"].startswith(prefix) for r in a["routes"]) for side, a in self.status().items()}
+
+    def drained(self, *programs: str, seconds: float = QUIET_SECONDS) -> None:
+        """Wait until these programs have heard nothing new for so long; those that send do so no more."""
+        count, since = -1, time.monotonic()
+        while time.monotonic() < since + seconds:
+            heard = sum(self.ask(name, "count")["count"] for name in programs)
+            if heard != count:
+                count, since = heard, time.monotonic()
+            time.sleep(0.1)
 
     def census(self) -> Census:
         """What the daemon holds now."""

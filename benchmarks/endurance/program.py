@@ -68,6 +68,7 @@ class Program(ABC):
             "flow": self._start_flow,
             "still": self._still,
             "report": self._report,
+            "count": self._count,
         }
         _tell()
         try:
@@ -125,6 +126,10 @@ class Program(ABC):
         self._flow.stop()
         self._rates.clear()
         return {"sent": {topic: source.sent for topic, source in self._out.items()}}
+
+    def _count(self) -> dict[str, Any]:
+        """How many messages were heard so far, on all topics."""
+        return {"count": sum(ear.count for ear, _ in self._in.values())}
 
     def _report(self) -> dict[str, Any]:
         """What was sent and heard so far."""
