@@ -7,6 +7,7 @@ its elements' type or not; ``help``; the introduction of YARP 4's clients. What 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -24,6 +25,8 @@ from yarp_compat.wire.writer import Writer
 log = logging.getLogger(__name__)
 
 HELP = "help"
+SILENCE = 1.0
+"""Seconds between two lines in the log of one server: a peer cannot fill it."""
 _HELP = (
     "help([functionName])",
     "Return list of available commands, or help message for a specific function",
@@ -57,6 +60,9 @@ class Server:
         self._calls = type(service).calls()
         self._longest = max((name.count("_") + 1 for name in self._calls), default=1)
         self.generations = Generations() if generations is None else generations
+        self.refused = 0
+        """Requests that were none."""
+        self._silent = 0.0
 
     def __call__(self, request: Request) -> None:
         """Answer a message."""
@@ -80,7 +86,8 @@ class Server:
         try:
             words, call, arguments, found = self._taken(payload, likely)
         except WireError as error:
-            log.warning("%s: a request of %s is refused: %s", type(self._service).__name__, peer or "?", error)
+            self.refused += 1
+            self._log("a request of %s is refused: %s", peer or "?", error)
             return _fail()
         if call is None:
             return self._special(words, arguments, peer)
@@ -152,25 +159,30 @@ class Server:
         return out.payload()
 
     def _called(self, call: Call, arguments: list[Any], generation: Generation, profile: Profile, peer: str) -> bytes:
-        name = f"{type(self._service).__name__}.{call.name}"
         try:
             results: list[Any] | None = _results(call, getattr(self._service, call.name)(*arguments))
         except CallFailed as error:
-            log.info("%s for %s: %s", name, peer or "?", error)
+            log.debug("%s for %s: %s", call.name, peer or "?", error)
             results = _failed(call, error.code)
         except NotImplementedError:
             results = _failed(call, ReturnCode.NOT_IMPLEMENTED)
         except Exception:
-            log.exception("%s for %s", name, peer or "?")
+            self._log("%s for %s", call.name, peer or "?", exc_info=True)
             results = _failed(call, ReturnCode.GENERIC)
         if results is None:
             return _fail()
         try:
             return call.reply(results, generation, profile)
         except WireError:
-            log.exception("%s for %s returned what cannot be written", name, peer or "?")
+            self._log("%s for %s returned what cannot be written", call.name, peer or "?", exc_info=True)
             failed = _failed(call, ReturnCode.GENERIC)
             return _fail() if failed is None else call.reply(failed, generation, profile)
+
+    def _log(self, what: str, *arguments: object, exc_info: bool = False) -> None:
+        now = time.monotonic()
+        if now >= self._silent:
+            self._silent = now + SILENCE
+            log.warning(f"%s: {what}", type(self._service).__name__, *arguments, exc_info=exc_info)  # noqa: G004
 
 
 def _results(call: Call, returned: Any) -> list[Any]:
