@@ -7,7 +7,6 @@ its length (16) in one byte, and the bytes (rmw_zenoh_cpp, attachment_helpers.cp
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
 
 from bridge.hub.errors import WireError
 
@@ -17,27 +16,18 @@ SIZE = _LAYOUT.size
 """Bytes of an attachment."""
 
 
-class Attachment(NamedTuple):
-    """What a sample tells of itself.
-
-    Attributes:
-        sequence: per publisher, 1 for its first sample.
-        source_time_ns: system time of the source in nanoseconds since 1970.
-        gid: 16 bytes that name the publisher.
-    """
-
-    sequence: int
-    source_time_ns: int
-    gid: bytes
-
-
 def pack(sequence: int, source_time_ns: int, gid: bytes) -> bytes:
     """The attachment's bytes."""
     return _LAYOUT.pack(sequence, source_time_ns, GID_SIZE, gid)
 
 
-def unpack(data: bytes) -> Attachment:
-    """Read an attachment; raises `WireError` where it is not rmw_zenoh's."""
+def unpack(data: bytes) -> tuple[int, int, bytes]:
+    """Read an attachment; raises `WireError` where it is not rmw_zenoh's.
+
+    Returns:
+        The sample's number (per publisher, 1 for its first), the system time of its source in nanoseconds since 1970,
+        and the 16 bytes that name its publisher.
+    """
     if len(data) != SIZE:
         msg = f"attachment of {len(data)} bytes instead of {SIZE}; rmw_zenoh before Jazzy's 0.2.4 wrote another form"
         raise WireError(msg)
@@ -45,4 +35,4 @@ def unpack(data: bytes) -> Attachment:
     if size != GID_SIZE:
         msg = f"attachment with a GID of {size} bytes instead of {GID_SIZE}"
         raise WireError(msg)
-    return Attachment(sequence, time_ns, gid)
+    return sequence, time_ns, gid

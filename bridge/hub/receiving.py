@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import threading
 
-_here = threading.local()
+_kept: set[int] = set()
 
 
 def keep_thread_state() -> None:
@@ -14,6 +14,7 @@ def keep_thread_state() -> None:
     CPython makes such a thread a new state for each call, maps a page of stack for it, and unmaps it afterwards: 20 us
     a message, and a flush of the other core's address cache.
     """
-    if not hasattr(_here, "kept"):
-        _here.kept = True
+    me = threading.get_ident()
+    if me not in _kept:
+        _kept.add(me)
         ctypes.pythonapi.PyGILState_Ensure()

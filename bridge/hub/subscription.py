@@ -71,6 +71,14 @@ class _Source:
         self.time_ns = 0
         self.held: dict[int, HubSample] = {}
 
+    def take(self, sample: HubSample) -> int | None:
+        """Mark a sample as delivered; what `gap` said of it, None where it is not to be delivered."""
+        last, number = self.sequence, sample.sequence
+        missing = 0 if last is not None and number == last + 1 else self.gap(sample)
+        if missing is not None:
+            self.sequence, self.time_ns = number, sample.source_time_ns
+        return missing
+
     def gap(self, sample: HubSample) -> int | None:
         """Samples missing before this one; None where it was delivered already."""
         last = self.sequence
@@ -81,10 +89,6 @@ class _Source:
             return None if 0 < sample.source_time_ns <= self.time_ns else 0
         missing = sample.sequence - last - 1
         return missing if missing < _MAX_GAP else 0
-
-    def passed(self, sample: HubSample) -> None:
-        """The sample is delivered."""
-        self.sequence, self.time_ns = sample.sequence, sample.source_time_ns
 
 
 class HubSubscription:
@@ -158,10 +162,9 @@ class HubSubscription:
         # zenoh may call from several threads at once, one per link
         with self._lock:
             source = self._source(message, sample)
-            gap = None if source.zid == self._own else source.gap(message)
+            gap = None if source.zid == self._own else source.take(message)
             if gap is None:
                 return
-            source.passed(message)
             self.lost += gap
         self._callback(message)
 
@@ -238,9 +241,8 @@ class HubSubscription:
             self._deliver(source, held[sequence])
 
     def _deliver(self, source: _Source, message: HubSample) -> None:
-        gap = source.gap(message)
-        if gap is not None and not self._closed:
-            source.passed(message)
+        gap = None if self._closed else source.take(message)
+        if gap is not None:
             self.lost += gap
             self._callback(message)
 

@@ -14,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
+from typing import Any
 
 from bridge.routing.priority import Priority
 
@@ -39,12 +40,12 @@ class Dispatcher:
         self._lanes[priority].append(work)
         self._wake.put(True)
 
-    def here(self, work: Callable[[], None]) -> None:
-        """Do a piece of work at once, on the caller's thread."""
+    def here(self, work: Callable[..., None], *about: Any) -> None:
+        """Do a piece of work at once, on the caller's thread; ``about`` is what it is called with."""
         me = threading.get_ident()
         self._busy[me] = time.monotonic()
         try:
-            work()
+            work(*about)
         except Exception:
             _log.exception("a route failed on one message")
         finally:

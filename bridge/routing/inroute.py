@@ -80,7 +80,7 @@ class InRoute(Route):
         self._priority = Priority.STREAM
         depth = decision.depth or QUEUE_DEPTH[self._priority]
         name = f"midspan-in{self.side_topic}"
-        self._large = Lane(name, depth, QUEUE_BYTES, self._carry, lambda: self.counters.dropped("queue"))
+        self._large = Lane(name, depth, QUEUE_BYTES, self._carry_large, lambda: self.counters.dropped("queue"))
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called by the engine's loop alone."""
@@ -188,17 +188,19 @@ class InRoute(Route):
             return
         if self.too_large(len(payload), self._joint.hub.max_payload):
             return
-        message = _Message(payload, known, source, time_ns)
         if len(payload) > BULK or self._large.busy:
-            self._large.put(message, len(payload))
+            self._large.put(_Message(payload, known, source, time_ns), len(payload))
         else:
-            self._carry(message)
+            self._carry(payload, known, time_ns)
 
-    def _carry(self, message: _Message) -> None:
+    def _carry_large(self, message: _Message) -> None:
         payload, known, source, time_ns = message
-        if self._sources.get(source) is not known:  # gone while it waited
-            self.counters.dropped("unknown")
-            return
+        if self._sources.get(source) is known:
+            self._carry(payload, known, time_ns)
+        else:
+            self.counters.dropped("unknown")  # gone while it waited
+
+    def _carry(self, payload: bytes, known: _Source, time_ns: int | None) -> None:
         try:
             convert = self.conversion.convert
             data = payload if convert is None else convert(payload)

@@ -169,7 +169,7 @@ class OutRoute(Route):
             dispatcher.submit(self._priority, self._next)
             return
         try:
-            dispatcher.here(lambda: self._handle(sample))
+            dispatcher.here(self._handle, sample)
         finally:
             self._publishing.release()
 
@@ -199,10 +199,11 @@ class OutRoute(Route):
 
     def _handle(self, sample: HubSample) -> None:
         source = self._source_of(sample)
-        waiting = self._waiting.get(sample.gid)
         if source is not None:
             self._publish(sample, source)
-        elif waiting is not None:
+            return
+        waiting = self._waiting.get(sample.gid)
+        if waiting is not None:
             if self._is_latched(waiting):
                 self._keep(sample, waiting)
         elif sample.gid not in self._refused:
@@ -252,10 +253,7 @@ class OutRoute(Route):
             else:
                 self.counters.dropped("standby")
             return
-        timeout = self.decision.timeout
-        if self._priority is Priority.COMMAND and (
-            self._joint.pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
-        ):
+        if self._priority is Priority.COMMAND and self._stale(sample, source):
             self.counters.dropped("stale")
             return
         publisher = self._latched if source.latched else self._volatile
@@ -277,6 +275,10 @@ class OutRoute(Route):
         self.counters.crossed(len(data))
         if sample.source_time_ns >= self._since_ns:  # what was kept for late joiners says nothing of the way's length
             self.counters.latency(time.time_ns() - sample.source_time_ns)
+
+    def _stale(self, sample: HubSample, source: _Source) -> bool:
+        timeout = self.decision.timeout
+        return self._joint.pulse.stood_still(timeout) or source.age.age(sample.source_time_ns) > timeout
 
     @property
     def static(self) -> bool:

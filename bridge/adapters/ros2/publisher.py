@@ -56,6 +56,7 @@ class Ros2Publisher:
         self._open = True
         self._spare: _Writer | None = self._make()
         self._writers: dict[str, _Writer] = {}
+        self._only = None if qos.latched else self._spare
 
     def _make(self) -> _Writer:
         return _Writer(self._participant, self._message_class, self.topic, self.qos)
@@ -67,19 +68,14 @@ class Ros2Publisher:
 
     def send(self, payload: bytes, source: str) -> None:
         """Publish bytes of one source."""
-        writer = self._writers.get(source)
-        if writer is None:
-            writer = self._writer_for(source)
-            if writer is None:
-                return
-        writer.send(payload)
+        writer = self._only or self._writers.get(source) or self._writer_for(source)
+        if writer is not None:
+            writer.send(payload)
 
     def _writer_for(self, source: str) -> _Writer | None:
         with self._lock:
             if not self._open:
                 return None
-            if not self.qos.latched:
-                return self._spare
             writer = self._writers.get(source)
             if writer is None:
                 writer, self._spare = self._spare or self._make(), None

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 from ctypes import (
     CDLL,
     POINTER,
@@ -19,11 +20,10 @@ from ctypes import (
     c_char_p,
     c_int,
     c_int32,
-    c_int64,
     c_size_t,
     c_ubyte,
-    c_uint64,
     c_void_p,
+    create_string_buffer,
 )
 from typing import NamedTuple
 
@@ -50,16 +50,20 @@ class _Bytes(Structure):
     ]
 
 
-class _MessageInfo(Structure):
+class _Content(Structure):
+    """The same, around a Python object that outlives the call."""
+
     _fields_ = [
-        ("source_timestamp", c_int64),
-        ("received_timestamp", c_int64),
-        ("publication_sequence", c_uint64),
-        ("reception_sequence", c_uint64),
-        ("implementation", c_char_p),
-        ("gid", c_ubyte * _GID_BYTES),
-        ("from_intra_process", c_bool),
+        ("buffer", c_char_p),
+        ("length", c_size_t),
+        ("capacity", c_size_t),
+        ("allocator", _Allocator),
     ]
+
+
+_INFO = struct.Struct(f"@qqQQP{_GID_BYTES}s?0P")
+"""``rmw_message_info_t``: source and reception time stamp, publication and reception sequence number, implementation
+identifier, GID, whether from this process. Read in one go: field by field costs more than the take."""
 
 
 _rcl = CDLL("librcl.so")
@@ -68,9 +72,9 @@ _rcutils = CDLL("librcutils.so")
 _libc = CDLL(None)
 
 for _library in (_rcl, _rcl_held):
-    _library.rcl_take_serialized_message.argtypes = [c_void_p, POINTER(_Bytes), POINTER(_MessageInfo), c_void_p]
+    _library.rcl_take_serialized_message.argtypes = [c_void_p, POINTER(_Bytes), c_void_p, c_void_p]
     _library.rcl_take_serialized_message.restype = c_int32
-    _library.rcl_publish_serialized_message.argtypes = [c_void_p, POINTER(_Bytes), c_void_p]
+    _library.rcl_publish_serialized_message.argtypes = [c_void_p, POINTER(_Content), c_void_p]
     _library.rcl_publish_serialized_message.restype = c_int32
 _rcl.rcl_subscription_set_on_new_message_callback.argtypes = [c_void_p, c_void_p, c_void_p]
 _rcl.rcl_subscription_set_on_new_message_callback.restype = c_int32
@@ -115,14 +119,13 @@ class Taker:
 
     def __init__(self) -> None:
         self._bytes = _Bytes(None, 0, 0, _rcutils.rcutils_get_default_allocator())
-        self._info = _MessageInfo()
+        self._info = create_string_buffer(_INFO.size)
         self._bytes_ref = byref(self._bytes)
-        self._info_ref = byref(self._info)
 
     def take(self, subscription: int, *, large: bool) -> Taken | None:
         """The next message of ``rcl_subscription_t *``, None where there is none; ``large``: as LARGE says."""
         take = (_rcl if large else _rcl_held).rcl_take_serialized_message
-        code = take(subscription, self._bytes_ref, self._info_ref, None)
+        code = take(subscription, self._bytes_ref, self._info, None)
         if code != RET_OK:
             _rcutils.rcutils_reset_error()
             if code == RET_TAKE_FAILED:
@@ -130,8 +133,8 @@ class Taker:
             raise RclError("rcl_take_serialized_message", code)
         content = self._bytes
         payload = ctypes.string_at(content.buffer, content.length)
-        info = self._info
-        return Taken(payload, bytes(info.gid), info.source_timestamp, info.publication_sequence)
+        source_ns, _, sequence, _, _, gid, _ = _INFO.unpack(self._info)
+        return Taken(payload, gid, source_ns, sequence)
 
     def close(self) -> None:
         """Free the buffer."""
@@ -140,8 +143,9 @@ class Taker:
 
 def publish(publisher: int, payload: bytes) -> None:
     """Publish CDR bytes by ``rcl_publisher_t *``."""
-    content = _Bytes(ctypes.cast(c_char_p(payload), c_void_p).value, len(payload), len(payload))
-    library = _rcl if len(payload) >= LARGE else _rcl_held
+    size = len(payload)
+    content = _Content(payload, size, size)
+    library = _rcl if size >= LARGE else _rcl_held
     code = library.rcl_publish_serialized_message(publisher, byref(content), None)
     if code != RET_OK:
         raise RclError("rcl_publish_serialized_message", code)

@@ -202,11 +202,11 @@ class ClassReader(Reader):
             source = owner.source(gid, self._class)
             if source is None:
                 continue
-            self._count(source, sequence)
             try:
                 owner.deliver(payload, source, source_ns)
             except Exception:
                 owner.failed(source)
+            self._count(source, sequence)
         return True
 
     def _count(self, source: str, sequence: int) -> None:
