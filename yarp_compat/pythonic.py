@@ -100,8 +100,9 @@ class OpenPort:
         return self.core.name
 
     def open(self) -> Self:
-        """Open the port."""
-        self.core.open()
+        """Open the port, unless it is."""
+        if not self.core.is_open:
+            self.core.open()
         return self
 
     def close(self) -> None:

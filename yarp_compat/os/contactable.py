@@ -75,7 +75,7 @@ class Contactable:
             from yarp_compat.os.node import active_node  # a node is itself a port
 
             node = active_node()
-            if node and not nested.is_nested:
+            if not nested.is_nested:
                 nested = NestedName(f"/{nested.node.lstrip('/')}", node, type=nested.type)
             nested = nested.with_node(node)
         if not nested.is_nested:

@@ -7,6 +7,7 @@ directly.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import weakref
@@ -20,6 +21,7 @@ from yarp_compat.os.contactable import Contactable
 from yarp_compat.os.nested import CLIENT, PUBLISHER, SERVER, SUBSCRIBER, NestedName
 from yarp_compat.os.port import Port
 from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.rosmsg import get as message_class
 from yarp_compat.wire.errors import WireError
 
@@ -96,6 +98,7 @@ class Publisher(BufferedPort):
     Args:
         content: the message class, ``yarp.rosmsg.std_msgs.String``, or its type's name.
         topic: opened at once when given.
+        latched: whoever comes later gets the last message.
 
     Example::
 
@@ -104,10 +107,12 @@ class Publisher(BufferedPort):
         publisher.write(yarp.rosmsg.std_msgs.String(data="hello"))
     """
 
-    def __init__(self, content: type[Any] | str, topic: str = "") -> None:
+    def __init__(self, content: type[Any] | str, topic: str = "", *, latched: bool = False) -> None:
         super().__init__(message_class(content) if isinstance(content, str) else content)
         self.setWriteOnly()
         self._wait = True
+        self._latched = latched
+        self._kept: bytes | None = None
         if topic:
             self.topic(topic)
 
@@ -123,8 +128,10 @@ class Publisher(BufferedPort):
     def write(self, forceStrict: Any = False) -> Any:
         """Send a message and return whether all took it; or send the prepared one, as `BufferedPort.write`."""
         if isinstance(forceStrict, bool):
+            self._keep(self._prepared)
             super().write(forceStrict)
             return None
+        self._keep(forceStrict)
         core = self._core
         if core is None or self._interrupted:
             return False
@@ -135,6 +142,23 @@ class Publisher(BufferedPort):
             log.error("port %s cannot write: %s", core.name, err)
             return False
         return reached >= count or not self._wait
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether whoever comes later gets the last message."""
+        return self._latched
+
+    def _keep(self, message: Any) -> None:
+        """Remember what was written last, for who comes later."""
+        if self._latched and message is not None:
+            with contextlib.suppress(WireError):  # writing it will say so
+                self._kept = b"".join(message.to_wire(RUNTIME.profile))
+
+    def _tell(self, event: ConnectionEvent) -> None:
+        super()._tell(event)
+        core, kept = self._core, self._kept
+        if kept is not None and core is not None and event.up and not event.incoming:
+            core.write(kept, strict=True, chosen=lambda output: output.route.target == event.route.target)
 
 
 class Subscriber(BufferedPort):
@@ -170,6 +194,8 @@ def joined(port: Contactable, name: NestedName, type_name: str) -> None:
     try:
         if type_name:
             RUNTIME.naming.set_property(name.port, "type", type_name)
+        if isinstance(port, Publisher) and port.is_latched:
+            RUNTIME.naming.set_property(name.port, "latched", True)
         for contact in RUNTIME.listed():
             other = NestedName.parse(contact.name)
             if other.topic == name.topic and other.role == _OPPOSITE[name.role]:

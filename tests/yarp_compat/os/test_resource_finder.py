@@ -1,0 +1,160 @@
+"""Where `ResourceFinder` finds files, in which order, and what it reads from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import yarp_compat as yarp
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
+    """All of YARP's folders, empty."""
+    found = {name: tmp_path / name for name in ("here", "config", "data", "sysadmin", "installed", "bundle")}
+    for path in found.values():
+        path.mkdir()
+    monkeypatch.chdir(found["here"])
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(found["config"]))
+    monkeypatch.setenv("YARP_DATA_HOME", str(found["data"]))
+    monkeypatch.setenv("YARP_CONFIG_DIRS", str(found["sysadmin"]))
+    monkeypatch.setenv("YARP_DATA_DIRS", str(found["installed"]))
+    monkeypatch.setenv("YARP_ROBOT_NAME", "r1")
+    return found
+
+
+def put(folder: Path, name: str, text: str = "") -> str:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return str(path)
+
+
+def finder(*words: str, context: str = "nav", main: str = "robot.ini") -> yarp.ResourceFinder:
+    rf = yarp.ResourceFinder()
+    rf.setDefaultContext(context)
+    rf.setDefaultConfigFile(main)
+    rf.configured = rf.configure(["program", *words])
+    return rf
+
+
+def test_the_order_of_places(places: dict[str, Path]) -> None:
+    in_order = [
+        put(places["here"], "map.txt"),
+        put(places["data"], "robots/r1/map.txt"),
+        put(places["installed"], "robots/r1/map.txt"),
+        put(places["data"], "contexts/nav/map.txt"),
+        put(places["sysadmin"], "contexts/nav/map.txt"),
+        put(places["config"], "map.txt"),
+        put(places["data"], "map.txt"),
+        put(places["sysadmin"], "map.txt"),
+        put(places["installed"], "map.txt"),
+        put(places["bundle"], "map.txt"),
+    ]
+    put(places["installed"], "config/path.d/b.ini", f'[search b]\npath "{places["bundle"]}"\n')
+    rf = finder()
+    every = rf.findPaths("map.txt")
+    assert [every.get(i).asString() for i in range(every.size())] == in_order
+    for path in in_order:
+        assert rf.findFileByName("map.txt") == path
+        Path(path).unlink()
+    assert rf.findFileByName("map.txt") == ""
+
+
+def test_the_command_line_outranks_the_file(places: dict[str, Path]) -> None:
+    put(places["installed"], "contexts/nav/robot.ini", "speed 0.5\nname r1\n[LASER]\nport /laser\n")
+    rf = finder("--speed", "0.9", "--verbose")
+    assert rf.configured
+    assert rf.isConfigured()
+    assert rf.find("speed").asFloat64() == 0.9
+    assert rf.find("name").asString() == "r1"
+    assert rf.check("verbose")
+    assert not rf.check("period")
+    assert rf.check("period", yarp.Value(0.02)).asFloat64() == 0.02
+    assert rf.findGroup("LASER").find("port").asString() == "/laser"
+    assert rf.findGroup("ODOMETRY").isNull()
+    nested = rf.findNestedResourceFinder("LASER")
+    assert nested.find("port").asString() == "/laser"
+    assert not nested.isNull()
+    assert rf.findNestedResourceFinder("ODOMETRY").isNull()
+    assert "(name r1)" in rf.toString()
+
+
+def test_context_and_file_of_the_command_line(places: dict[str, Path]) -> None:
+    put(places["installed"], "contexts/other/their.ini", "a 1\n")
+    wanted = put(places["installed"], "contexts/other/table.txt")
+    rf = finder("--context", "other", "--from", "their.ini", "--table", "table.txt")
+    assert rf.configured
+    assert rf.find("a").asInt32() == 1
+    assert rf.getContext() == "other"
+    assert rf.getContexts().toString() == "other"
+    assert rf.findFile("table") == wanted  # the file that the key names
+    assert rf.getContextPath() == str(places["installed"] / "contexts/other")
+
+
+def test_a_file_that_was_asked_for_and_is_not_there(places: dict[str, Path], caplog: pytest.LogCaptureFixture) -> None:
+    assert finder().configured  # the default one need not be there
+    assert not finder("--from", "missing.ini").configured
+    assert "missing.ini" in caplog.text
+
+
+def test_files_beside_the_main_one_in_the_current_folder(places: dict[str, Path]) -> None:
+    put(places["here"], "robot.ini", "a 2\n")
+    put(places["installed"], "contexts/nav/map.txt")
+    rf = finder()
+    assert rf.find("a").asInt32() == 2
+    assert rf.findFileByName("map.txt") == ""  # as YARP: near the main file, contexts are not looked in
+    assert rf.getHomeContextPath() == str(places["here"])
+
+
+def test_folders_of_the_user_are_made(places: dict[str, Path]) -> None:
+    rf = finder()
+    assert rf.getHomeContextPath() == str(places["data"] / "contexts/nav")
+    assert Path(rf.getHomeContextPath()).is_dir()
+    assert rf.getHomeRobotPath() == str(places["data"] / "robots/r1")
+    assert rf.findPath() == str(places["here"])
+
+
+def test_options(places: dict[str, Path]) -> None:
+    put(places["config"], "plugins/a.ini", "a 1\nb 1\n")
+    put(places["installed"], "plugins/a.ini", "a 2\nc 2\n")
+    options = yarp.ResourceFinderOptions(yarp.ResourceFinderOptions.Default, resourceType="plugins")
+    rf = finder()
+    assert rf.findFile("a.ini", options) == str(places["config"] / "plugins/a.ini")
+    config = yarp.Property()
+    options.duplicateFilesPolicy = yarp.ResourceFinderOptions.All
+    assert rf.readConfig(config, "a.ini", options)
+    assert (config.find("a").asInt32(), config.find("b").asInt32(), config.find("c").asInt32()) == (1, 1, 2)
+    options.searchFlavor = yarp.ResourceFinderOptions.DataLike
+    options.searchLocations = yarp.ResourceFinderOptions.User
+    assert rf.findFile("a.ini", options) == ""
+
+
+def test_absolute_paths_stay(places: dict[str, Path], tmp_path: Path) -> None:
+    path = put(tmp_path, "x.txt")
+    assert finder().findFileByName(path) == path
+    assert finder().findFileByName(path + "y") == ""
+
+
+def test_forms_of_configure(places: dict[str, Path]) -> None:
+    rf = yarp.ResourceFinder()
+    assert rf.configure("YARP_POLICY", ["program", "--a", "1"])
+    assert rf.configure(2, ["program", "--b", "2"])
+    assert rf.configure(["--c", "3"], False)
+    assert [rf.find(key).asInt32() for key in "abc"] == [1, 2, 3]
+    with pytest.raises(TypeError, match=r"sys\.argv"):
+        rf.configure("--a 1")
+    assert yarp.ResourceFinder(rf).find("a").asInt32() == 1
+    assert yarp.ResourceFinder.getResourceFinderSingleton() is yarp.ResourceFinder.getResourceFinderSingleton()
+
+
+def test_defaults(places: dict[str, Path]) -> None:
+    rf = yarp.ResourceFinder()
+    rf.setDefault("period", 0.02)
+    rf.setDefault("robot", "r1")
+    rf.setDefault("limits", "(1 2 3)")
+    rf.configure(["program", "--robot", "cer"])
+    assert rf.find("period").asFloat64() == 0.02
+    assert rf.find("robot").asString() == "cer"
+    assert rf.find("limits").asList().size() == 3

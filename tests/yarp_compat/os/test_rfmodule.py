@@ -1,0 +1,121 @@
+"""`RFModule`: its life, its commands, its signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+import yarp_compat as yarp
+from tests.support.wait import until
+
+pytestmark = pytest.mark.usefixtures("local")
+
+
+class Module(yarp.RFModule):
+    def __init__(self, rounds: int = 10**9, period: float = 0.001) -> None:
+        super().__init__()
+        self.rounds, self.period, self.said = rounds, period, []
+
+    def configure(self, rf: yarp.ResourceFinder) -> bool:
+        self.said.append("configure")
+        return not rf.check("fail")
+
+    def getPeriod(self) -> float:
+        return self.period
+
+    def updateModule(self) -> bool:
+        self.said.append("update")
+        return self.said.count("update") < self.rounds
+
+    def respond(self, command: yarp.Bottle, reply: yarp.Bottle) -> bool:
+        if command.get(0).asString() != "add":
+            return False
+        reply.addInt32(command.get(1).asInt32() + command.get(2).asInt32())
+        return True
+
+    def interruptModule(self) -> bool:
+        self.said.append("interrupt")
+        return True
+
+    def close(self) -> bool:
+        self.said.append("close")
+        return True
+
+
+def finder(*words: str) -> yarp.ResourceFinder:
+    rf = yarp.ResourceFinder()
+    rf.configure(["program", *words])
+    return rf
+
+
+def test_a_module_runs_until_its_round_says_so() -> None:
+    module = Module(rounds=3)
+    assert module.runModule(finder()) == 0
+    assert module.said == ["configure", "update", "update", "update", "close"]
+    assert module.runModule() == 1  # it ran
+
+
+def test_a_module_that_is_not_configured_does_not_run() -> None:
+    module = Module()
+    assert module.runModule(finder("--fail")) == 1
+    assert module.said == ["configure"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_stop_it_at_once(number: int) -> None:
+    before = signal.getsignal(number)
+    module = Module(period=60.0)
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), number))
+    timer.start()
+    begin = time.monotonic()
+    assert module.runModule(finder()) == 0
+    timer.join()
+    assert time.monotonic() - begin < 30
+    assert module.said == ["configure", "update", "interrupt", "close"]
+    assert signal.getsignal(number) is before
+
+
+def test_commands() -> None:
+    module, server, client = Module(), yarp.RpcServer(), yarp.RpcClient()
+    module.attach(server)
+    assert server.open("/module/rpc")
+    assert client.open("/client")
+    assert client.addOutput("/module/rpc")
+    assert module.runModuleThreaded(finder()) == 0
+    reply = yarp.Bottle()
+    assert client.write(yarp.Bottle("add 2 3"), reply)
+    assert reply.get(0).asInt32() == 5
+    assert client.write(yarp.Bottle("dance"), reply)
+    assert reply.toString() == '"command not recognized"'
+    assert client.write(yarp.Bottle("[quit]"), reply)
+    assert reply.get(0).asVocab32() == yarp.Vocab32.encode("bye")
+    assert module.joinModule(10)
+    assert module.isStopping()
+    assert module.said[-2:] == ["interrupt", "close"]
+
+
+def test_it_is_stopped_from_another_thread() -> None:
+    module = Module(period=60.0)
+    assert module.runModuleThreaded(finder()) == 0
+    until(lambda: "update" in module.said, "a round")
+    assert module.joinModule(0.01) is False
+    module.stopModule(True)
+    assert module.said[-1] == "close"
+
+
+def test_names() -> None:
+    module = Module()
+    module.setName("/nav")
+    assert module.getName() == "/nav"
+    assert module.getName("/rpc") == module.getName("rpc") == "/nav/rpc"
+
+
+def test_rounds_come_at_their_period() -> None:
+    module = Module(rounds=6, period=0.02)
+    begin = time.monotonic()
+    module.runModule()
+    assert time.monotonic() - begin >= 0.1
