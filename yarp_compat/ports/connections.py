@@ -60,7 +60,7 @@ class Connections:
                 former.append(silent)
             self.inputs = [*self.inputs, connection]
         for one in former:
-            one.close()
+            one.retire()
             self.remove_input(one)
         self._tell(connection.route, incoming=True, up=True)
         return True

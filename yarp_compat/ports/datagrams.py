@@ -50,6 +50,10 @@ class DatagramInput(Input):
         super().__init__(port, sock, opened, b"", address)
         self._assembler = Assembler(port.limit)
 
+    def _no_more(self) -> None:
+        self._closing = True
+        self.wake()
+
     def wake(self) -> None:
         """Let whoever waits for datagrams see the connection's end."""
         with contextlib.suppress(OSError), socket.socket(self.sock.family, socket.SOCK_DGRAM) as sock:

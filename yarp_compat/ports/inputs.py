@@ -96,6 +96,14 @@ class Input:
         if (waiting := self._waiting) is not None:
             waiting.give_up()
 
+    def retire(self) -> None:
+        """End the connection when what has come of it is read."""
+        self._no_more()
+
+    def _no_more(self) -> None:
+        with contextlib.suppress(OSError):
+            self.sock.shutdown(socket.SHUT_RD)
+
     def abandon(self) -> None:
         """Close the socket, where no thread has it yet, or none any more."""
         self.sock.close()

@@ -109,9 +109,14 @@ class Output:
             if self._driven:
                 return item if self._queue(item, strict) else None
             self._driven = True
-        self._current = item
         try:
-            sent_all = (not self._due or self._take_ack(self._sock)) and self._send(item, self._sock)
+            free = not self._due or self._take_ack(self._sock)
+            if free or wait:
+                self._current = item
+            else:
+                with self._changed:
+                    self._queue(item, strict)
+            sent_all = free and self._send(item, self._sock)
         except OSError:
             self._fail()
             return None

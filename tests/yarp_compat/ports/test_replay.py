@@ -1,4 +1,4 @@
-"""What real YARP programs said, said again to our ports and by them: the same bytes, in both roles and both dialects."""
+"""What real YARP programs said, said again to our ports and by them: the same bytes, both roles, both dialects."""
 
 from __future__ import annotations
 
@@ -176,7 +176,7 @@ def test_writer_takes_companions() -> None:
 
 
 class Stage:
-    """Plays everybody but our port, in the recorded order: the companion that talks to ours, and the port that ours calls."""
+    """Plays everybody but our port, in the recorded order: the companion that talks to it, and the port it calls."""
 
     def __init__(self, port: PortCore, address: tuple[str, int], own: int, peer: int, profile: Profile) -> None:
         self.port = port
@@ -243,12 +243,12 @@ def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile:
         stage = Stage(port, address, own, other[1], profile)
         port.naming.register(other[0], *stage.server.getsockname())
         try:
-            recorded = [t for t in talks(file, own, other[1], without=MCAST if own == 10006 else range(0)) if t.steps]
-            if own == 10003:  # there the writer ended with its process
-                recorded = [_without_quit(t) for t in recorded]
+            left_out = MCAST if own == 10006 else range(0)
+            recorded = [t for t in talks(file, own, other[1], without=left_out) if t.steps]
+            if own == 10003:
+                stage.play([_without_quit(t) for t in recorded])  # there the writer ended with its process
             else:
-                recorded = [t for t in recorded if t.number < 36]
-            stage.play(recorded)
+                stage.play([t for t in recorded if t.number < 36])
         finally:
             stage.close()
 

@@ -1,0 +1,193 @@
+"""What waits for a peer that is slow: the newest only, or all; and nobody else waits for it."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.wire import message
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.profile import Profile
+
+BIG = 300_000
+
+
+class Slow:
+    """A peer that introduces itself as a port and reads only when told."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16384)
+        self.sock: socket.socket | None = None
+        self._thread = threading.Thread(target=self._accept)
+        self._thread.start()
+
+    def _accept(self) -> None:
+        self.server.settimeout(10)
+        self.sock, _ = self.server.accept()
+        self.sock.settimeout(10)
+        self.sock.recv(100)
+        self.sock.sendall(b"YA\0\0\0\0RP")
+
+    def read(self) -> bytes:
+        """A message's payload."""
+        assert self.sock is not None
+        index = b""
+        while len(index) < 30:
+            index += self.sock.recv(30 - len(index))
+        size = message.body_size(index)
+        body = b""
+        while len(body) < size:
+            body += self.sock.recv(size - len(body))
+        return body[8:]
+
+    def acknowledge(self) -> None:
+        assert self.sock is not None
+        self.sock.sendall(message.ACK)
+
+    def close(self) -> None:
+        self._thread.join()
+        self.server.close()
+        if self.sock is not None:
+            self.sock.close()
+
+
+@pytest.fixture
+def slow(naming: LocalNaming) -> Iterator[Slow]:
+    peer = Slow()
+    naming.register("/slow", *peer.server.getsockname())
+    yield peer
+    peer.close()
+
+
+def test_newest_only(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    for i in range(10):
+        assert writer.write(b"%d" % i) == 1
+    assert slow.read() == b"0"
+    slow.acknowledge()
+    assert slow.read() == b"9"
+    slow.acknowledge()
+    until(lambda: not writer.is_writing, "all is done")
+    assert writer.connections.outputs[0].counters.dropped["replaced"] == 8
+
+
+def test_strict_keeps_all(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    for i in range(10):
+        assert writer.write(b"%d" % i, strict=True) == 1
+    assert not writer.wait_writes(0.05)
+    for i in range(10):
+        assert slow.read() == b"%d" % i
+        slow.acknowledge()
+    assert writer.wait_writes(10)
+    assert not writer.is_writing
+
+
+def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w", limit=10 * BIG)
+    writer.add_output("tcp://slow")
+    taken = [writer.write(bytes(BIG), strict=True) for _ in range(30)]
+    assert 5 < sum(taken) < 13
+    assert writer.connections.outputs[0].counters.dropped["full"] == 30 - sum(taken)
+
+
+@pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
+def test_what_waits_may_be_changed_by_its_owner(make_port: MakePort, slow: Slow, carrier: str) -> None:
+    """A message in the queue, or half sent, is its own copy."""
+    writer = make_port("/w")
+    writer.add_output(f"{carrier}://slow")
+    memory = bytearray(8_000_000)
+    for i in (1, 2):
+        memory[:] = bytes([i]) * len(memory)
+        assert writer.write(memory, strict=True) == 1
+    memory[:] = b"\xff" * len(memory)
+    for i in (1, 2):
+        assert slow.read() == bytes([i]) * len(memory)
+        if carrier == "tcp":
+            slow.acknowledge()
+
+
+def test_a_slow_peer_delays_nobody(make_port: MakePort, slow: Slow) -> None:
+    """It takes nothing at all; another one gets every message at once."""
+    got: list[int] = []
+    make_port("/quick", lambda m: got.append(decode(m.payload[: len(m.payload) - BIG])[0]))
+    writer = make_port("/w")
+    writer.add_output("fast_tcp://slow")
+    writer.add_output("tcp://quick")
+    start = time.monotonic()
+    for i in range(50):
+        writer.write([encode([i], Profile.YARP3), bytes(BIG)], strict=False)
+        until(lambda n=i: len(got) == n + 1, "the quick one has it")
+    assert got == list(range(50))
+    assert time.monotonic() - start < 30, "it waited for nobody"
+
+
+def test_waiting_for_a_slow_peer_ends_in_time(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    start = time.monotonic()
+    assert writer.write(b"a", wait=True, timeout=0.3) == 0
+    assert 0.3 <= time.monotonic() - start < 10
+    assert slow.read() == b"a"
+    slow.acknowledge()
+    until(lambda: not writer.is_writing, "its acknowledgement is still taken")
+    threading.Timer(0.2, lambda: (slow.read(), slow.acknowledge())).start()
+    assert writer.write(b"b", wait=True, timeout=10) == 1
+
+
+def test_a_peer_that_goes_lets_its_writer_go(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
+    assert writer.write(b"a", wait=True, timeout=20) == 0
+    assert writer.outputs() == []
+
+
+def test_closing_lets_a_waiting_writer_go(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    threading.Timer(0.2, writer.close).start()
+    assert writer.write(b"a", wait=True, timeout=20) == 0
+    until(lambda: not writer.is_open, "closed")
+
+
+def test_nonsense_in_place_of_an_acknowledgement(make_port: MakePort, slow: Slow) -> None:
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    writer.write(b"a")
+    assert slow.read() == b"a"
+    assert slow.sock is not None
+    slow.sock.sendall(b"certainly not")
+    until(lambda: not writer.outputs(), "the connection is ended")
+
+
+def test_writers_of_many_threads(make_port: MakePort) -> None:
+    """Waiting and not, all of one port at once: every strict message comes once, whole."""
+    got: list[int] = []
+    make_port("/r", lambda m: got.append(decode(m.payload)[0]))
+    writer = make_port("/w")
+    writer.add_output("tcp://r")
+
+    def write(first: int) -> None:
+        for i in range(first, first + 100):
+            writer.write(encode([i, "x" * (i % 7) * 5000], Profile.YARP3), strict=True, wait=i % 3 == 0)
+
+    threads = [threading.Thread(target=write, args=(n * 100,)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert writer.wait_writes(10)
+    assert sorted(got) == list(range(400))
+    for n in range(4):
+        assert [g for g in got if g // 100 == n] == list(range(n * 100, n * 100 + 100)), "each thread's in order"

@@ -1,0 +1,300 @@
+"""Peers that vanish, are silent, or send garbage harm only their own connection."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.ports import connections, listener
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire import message
+from yarp_compat.wire.binary import encode
+from yarp_compat.wire.header import PROTOCOL_ERROR
+from yarp_compat.wire.profile import Profile
+
+HELLO = encode(["hello"], Profile.YARP3)
+TCP, FAST_TCP = b"YA\xe4\x1e\0\0RP", b"YAd\x1e\0\0RP"
+WRITER = b"\x03\0\0\0/x\0"
+
+
+def call(port: PortCore, *said: bytes) -> socket.socket:
+    sock = socket.create_connection((port.contact.host, port.contact.port), 10)
+    sock.settimeout(10)
+    for part in said:
+        with contextlib.suppress(OSError):
+            sock.sendall(part)
+    return sock
+
+
+def rest(sock: socket.socket) -> bytes:
+    """All that comes until the port ends the connection."""
+    came = b""
+    with contextlib.suppress(ConnectionError):
+        while part := sock.recv(65536):
+            came += part
+    sock.close()
+    return came
+
+
+class Works:
+    """A port, and a check that it still does what a real peer wants."""
+
+    def __init__(self, make_port: MakePort) -> None:
+        self.port = make_port("/r", lambda m: m.reply(m.payload), limit=1 << 20)
+        self._client = make_port("/client")
+        assert self._client.add_output("/r")[0]
+        self.check()
+
+    def check(self) -> None:
+        assert self._client.request(HELLO, timeout=20) == HELLO
+
+
+@pytest.fixture
+def works(make_port: MakePort) -> Iterator[Works]:
+    made = Works(make_port)
+    yield made
+    made.check()
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"YAb\x1e\0\0RP\x03\0\0\0/w\0\xe0\1\1\3\x27\x17",  # mcast
+        b"YAo\x1e\0\0RP\x03\0\0\0/w\0",  # shmem
+        b"\x16\x03\x01\x02\0\1\0\1",  # TLS
+        b"SSH-2.0-OpenSSH\r\n",
+        bytes(8),
+        b"\xff" * 8,
+        b"PRI * HT",
+    ],
+)
+def test_other_carriers_are_refused_by_name(works: Works, said: bytes) -> None:
+    assert rest(call(works.port, said)) == PROTOCOL_ERROR
+    until(lambda: works.port.counters.dropped["malformed"] == 1, "it is counted")
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        TCP + b"\0\0\0\0",
+        TCP + b"\xff\xff\xff\xff",
+        TCP + b"\xff\xff\xff\x7f",
+        TCP + b"\x03\0\0\0\xff\xfe\0",
+        TCP + b"\x04\0\0\0/\n\r\0",
+        b"CONNECT \xff\xff\r\n",
+        b"CONNECT " + b"a" * 3000,
+    ],
+)
+def test_bad_names(works: Works, said: bytes) -> None:
+    assert rest(call(works.port, said)).endswith(PROTOCOL_ERROR)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"garbage that is no index at all.....",
+        b"YA\x0a\0\0\0RP\xff\xff" + b"\xff" * 8 + b"\xff\xff\xff\x7f" * 510,
+        b"YA\x0a\0\0\0RP\2\1" + b"\xff" * 8 + struct.pack("<iii", 8, -5, 0),
+        b"YA\x0a\0\0\0RP\2\1" + b"\xff" * 8 + struct.pack("<iii", 8, (1 << 20) + 1, 0) + b"\0\0\0\0~D\0\1",
+        b"YA\x0a\0\0\0RP\0\0" + b"\xff" * 8,
+        b"YA\x0a\0\0\0RP\1\1" + b"\xff" * 8 + struct.pack("<ii", 4, 0) + b"abcd",
+        b"YA\x0a\0\0\0RP\1\1" + b"\xff" * 8 + struct.pack("<ii", 12, 0) + b"\x04\0\0\0~\0\0\1abcd",
+        b"YA\x0b\0\0\0RP\2\1" + b"\xff" * 20,
+    ],
+)
+@pytest.mark.parametrize("carrier", [TCP, FAST_TCP])
+def test_bad_messages(works: Works, carrier: bytes, said: bytes) -> None:
+    told = rest(call(works.port, carrier + WRITER, said))
+    assert message.framed(told) is not None, "the introduction was answered"
+    until(lambda: works.port.counters.dropped["malformed"] == 1, "it is counted")
+    until(lambda: len(works.port.inputs()) == 1, "the connection is gone")
+
+
+def test_an_announcement_alone_costs_no_memory(make_port: MakePort) -> None:
+    """Fifty peers announce 64 MB each, and send nothing of it."""
+    port = make_port("/r")
+    before = psutil.Process().memory_info().rss
+    index = b"YA\x0a\0\0\0RP\2\1" + b"\xff" * 8 + struct.pack("<iii", 8, 64 << 20, 0) + b"\0\0\0\0~D\0\1"
+    socks = [call(port, FAST_TCP + b"\x06\0\0\0anon%d\0" % (n % 10), index) for n in range(50)]
+    until(lambda: len(port.inputs()) == 50, "all are connected")
+    until(lambda: sum(t.name.startswith("yarp anon") for t in threading.enumerate()) == 50, "all are read")
+    time.sleep(0.2)
+    assert psutil.Process().memory_info().rss - before < 120 << 20
+    for sock in socks:
+        sock.close()
+    until(lambda: not port.inputs(), "all are gone")
+
+
+def test_text_without_end(works: Works) -> None:
+    sock = call(works.port, b"CONNACK x\r\n")
+    assert sock.recv(100) == b"Welcome x\r\n"
+    with contextlib.suppress(OSError):
+        for _ in range(40):
+            sock.sendall(b"a" * 65536)
+    assert rest(sock) == b""
+
+
+def test_a_long_line_of_data(works: Works) -> None:
+    sock = call(works.port, b"CONNACK x\r\nd\r\n")
+    with contextlib.suppress(OSError):
+        for _ in range(40):
+            sock.sendall(b"a" * 65536)
+    assert rest(sock) in (b"Welcome x\r\n", b"")
+
+
+@pytest.mark.parametrize("depth", [300, 1_000_000 // 8])
+def test_nested_lists(works: Works, depth: int) -> None:
+    """As text, as a message, as an administrative command."""
+    text = b"(" * depth
+    rest(call(works.port, b"CONNACK x\r\nd\r\n" + text + b"\r\nq\r\n"))
+    works.check()
+    rest(call(works.port, b"CONNACK x\r\na\r\n" + text + b"\r\nq\r\n"))
+    works.check()
+    nested = struct.pack("<ii", 256, 1) * depth
+    told = rest(call(works.port, TCP + WRITER, message.prefix(len(nested), "a") + nested, message.QUIT))
+    assert b"send [help]" in told
+
+
+def test_a_thousand_silent_connections(make_port: MakePort) -> None:
+    """A real one is not stopped by them; the oldest go, and none costs a thread."""
+    works = Works(make_port)
+    silent = []
+    threads = threading.active_count()
+    for _ in range(1000):
+        with contextlib.suppress(OSError):
+            silent.append(call(works.port))
+    other = make_port("/other")
+    start = time.monotonic()
+    assert other.add_output("/r")[0]
+    assert other.request(HELLO, timeout=20) == HELLO
+    assert time.monotonic() - start < 5
+    assert threading.active_count() <= threads + 2
+    assert len(silent) > listener.MOST_SILENT
+    closed = 0
+    for sock in silent:
+        sock.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            closed += sock.recv(1) == b""
+        sock.close()
+    assert closed >= len(silent) - listener.MOST_SILENT
+    works.check()
+
+
+def test_those_that_introduce_themselves_and_are_silent(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_INPUTS", 50)
+    works = Works(make_port)
+    threads = threading.active_count()
+    silent = [call(works.port, FAST_TCP + b"\x04\0\0\0%03d\0" % n) for n in range(200)]
+    until(lambda: len(works.port.inputs()) == 50, "no more than fifty are kept")
+    assert threading.active_count() <= threads + 2, "none costs a thread"
+    works.check()
+    assert make_port("/other").add_output("/r")[0]
+    for sock in silent:
+        sock.close()
+
+
+def test_introductions_have_a_time_limit(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listener, "PATIENCE", 0.2)
+    works = Works(make_port)
+    assert rest(call(works.port, TCP)) == b""
+    works.check()
+
+
+def test_tools_look_whether_a_port_is_there(works: Works) -> None:
+    for _ in range(20):
+        call(works.port).close()
+    works.check()
+    assert works.port.counters.dropped.total() == 0
+
+
+def test_garbage_of_many_kinds(works: Works) -> None:
+    """Beginnings of real conversations, changed at random."""
+    chance = random.Random(7)
+    payload = encode(["a", 1, [2.5, b"x"]], Profile.YARP3)
+    real = [
+        TCP + WRITER + message.prefix(len(payload), "d") + payload + message.QUIT,
+        TCP + WRITER + message.prefix(len(payload), "a") + payload + message.QUIT,
+        b"CONNACK x\r\nd\r\nhello (1 2)\r\na\r\n[list] [in]\r\n*\r\n?\r\nq\r\n",
+        b"CONNECT x\r\nD 1 2.5\r\nhello\r\n~/y\r\n!/z\r\nq\r\n",
+        b"NAME_SERVER query /x\r\nNAME_SERVER list\r\n",
+        b"GET /?data=hello+1&format=json HTTP/1.1\r\nHost: x\r\n\r\n",
+        b"POST /form HTTP/1.1\r\nContent-Length: 10\r\n\r\ndata=hello",
+    ]
+    for _ in range(300):
+        said = bytearray(chance.choice(real))
+        for _ in range(chance.randrange(1, 6)):
+            said[chance.randrange(len(said))] = chance.randrange(256)
+        sock = call(works.port, bytes(said[: chance.randrange(1, len(said) + 1)]))
+        sock.shutdown(socket.SHUT_WR)
+        sock.close()
+    works.check()
+    until(lambda: len(works.port.inputs()) == 1, "all are gone")
+
+
+def test_datagrams_of_strangers_and_garbage(make_port: MakePort) -> None:
+    got: list[bytes] = []
+    port = make_port("/r", lambda m: got.append(bytes(m.payload)))
+    writer = make_port("/w")
+    writer.add_output("udp://r")
+    until(port.inputs, "the connection")
+    address = port.connections.inputs[0].sock.getsockname()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        for garbage in (b"", b"a", bytes(8), bytes(100), b"\xff" * 1000):
+            sock.sendto(garbage, address)
+        writer.write(HELLO)
+        until(lambda: got == [HELLO], "the message")
+    assert port.connections.inputs[0].counters.dropped["checksum"] >= 3
+
+
+def test_an_owner_that_is_slow_holds_up_only_its_writer(make_port: MakePort) -> None:
+    """Another connection to the same port is served meanwhile, and administration too."""
+    free = threading.Event()
+
+    def take(incoming: Message) -> None:
+        if incoming.peer.route.source == "/slow":
+            free.wait(20)
+        incoming.reply(HELLO)
+
+    port = make_port("/r", take)
+    slow, quick = make_port("/slow"), make_port("/quick")
+    slow.add_output("/r")
+    quick.add_output("/r")
+    slow.write(HELLO)
+    assert quick.request(HELLO, timeout=10) == HELLO
+    assert b"[ver] 1 2 3" in rest(call(port, b"CONNACK admin\r\na\r\n[ver]\r\nq\r\n"))
+    free.set()
+
+
+def test_a_thousand_connects_leave_nothing(make_port: MakePort) -> None:
+    """Threads, sockets and connections are as many as before."""
+    got: list[int] = []
+    reader = make_port("/r", lambda _: got.append(1))
+    writer = make_port("/w")
+    process = psutil.Process()
+
+    def cycle(carrier: str) -> None:
+        assert writer.add_output(f"{carrier}://r")[0]
+        assert writer.write(HELLO, wait=True, timeout=10) == 1
+        assert writer.remove_output("/r")[0]
+
+    for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
+        cycle(carrier)
+    until(lambda: not reader.inputs(), "the first are gone")
+    before = (process.num_fds(), threading.active_count())
+    got.clear()
+    for i in range(1000):
+        cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
+    until(lambda: not reader.inputs() and not writer.outputs(), "all connections are gone")
+    until(lambda: (process.num_fds(), threading.active_count()) == before, "nothing is left behind")
+    assert len(got) == 1000
