@@ -27,4 +27,11 @@ def portables() -> dict[str, bytes]:
     return found
 
 
+def typed() -> dict[str, bytes]:
+    """``data/typed-3.12.3.txt``: the bytes that a real YARP 3.12.3 gave typed values, by name."""
+    lines = (_FILE.parent / "typed-3.12.3.txt").read_text().splitlines()
+    return {name: bytes.fromhex(data) for name, data in (line.split() for line in lines if line[0] != "#")}
+
+
 PORTABLES = portables()
+TYPED = typed()

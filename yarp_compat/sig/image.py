@@ -1,6 +1,10 @@
 """Images (`yarp/sig/Image.h`): rows of pixels, each row padded to a multiple of the quantum (8 bytes by default).
 
-On the wire (`yarp/sig/ImageNetworkHeader.h`): ``[mat] [code] (depth size quantum width height) {rows}``.
+On the wire (`yarp/sig/ImageNetworkHeader.h`): ``[mat] [code] (depth size quantum width height) {rows}``. Before 4.0
+the upper half of the quantum said whether the top row comes first: 3.4 to 3.9 write and obey 0 for yes, 3.10 to 3.12
+write 1 whatever it is and obey nothing (measured on 3.12.3), 4.0 knows only the quantum. So 0 is written, and 1 is not
+looked at.
+
 :meth:`Image.numpy` shares the image's memory. An image that was read shares the message's; one that wraps an array
 (:meth:`Image.setExternal`) is read into that array as long as what comes has its size.
 """
@@ -337,6 +341,8 @@ def _parsed(source: Reader) -> tuple[int, int, int, int, memoryview]:
     at = source.at
     count = source.begin()
     names, word, named, code, listed, numbers, depth, size, quantum, width, height, blob, length = source.raw(_HEADER)
+    if quantum >> 16 == 1:
+        quantum &= 0xFFFF
     told = (source.unit, count, names, word, named, listed, numbers, blob)
     if told != (0, 4, VOCAB32, _MAT, VOCAB32, LIST | INT32, 5, BLOB):
         raise WireError(f"what begins at byte {at} is no image")

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.yarp_compat.portables import TYPED
 from yarp_compat.sig.conversion import convert
 from yarp_compat.sig.image import (
     FlexImage,
@@ -64,6 +65,15 @@ def test_an_image_is_a_bottle(code: PixelCode) -> None:
     assert numbers == [image.getPixelSize(), image.getRawImageSize(), 8, 3, 2]
     assert rows == image.tostring()
     assert code == struct.unpack("<i", word.encode("latin-1").ljust(4, b"\0"))[0]
+
+
+def test_an_image_of_3_12() -> None:
+    """Its header has a 1 behind the quantum, which 3.9 takes for upside down and 4.0 for a part of the quantum."""
+    data = TYPED["ImageRgb"]
+    for image in (ImageRgb.from_bytes(data), FlexImage.from_bytes(data)):
+        assert image.numpy()[1].tolist() == [[0, 1, 9], [1, 1, 9], [2, 1, 9]]
+        assert (image.getQuantum(), image.getRowSize()) == (8, 16)
+        assert image.to_bytes(Profile.YARP3) == data[:42] + b"\0\0" + data[44:]
 
 
 def test_the_codes_names() -> None:
