@@ -59,6 +59,8 @@ class Places(Service):
     def names(self) -> list[str]: ...
     @rpc
     def reset(self) -> None: ...
+    @rpc
+    def clear_RPC(self) -> ReturnValue: ...
 
 
 class Kept(Places):
@@ -100,6 +102,10 @@ class Kept(Places):
 
     def reset(self) -> None:
         self.at.clear()
+
+    def clear_RPC(self) -> ReturnValue:
+        self.at.clear()
+        return OK
 
 
 @dataclass
@@ -295,6 +301,9 @@ def test_the_dialect_of_a_request_tells_the_generation() -> None:
         ALONE[Generation.YARP_3_12]
     )
     assert "YARP 3" in server.generations.of("/old").reason
+    server.generations.introduced("/old")
+    server.generations.recognised("/old", Profile.YARP3)
+    assert server.generations.of("/old").generation is Generation.YARP_4
 
 
 @pytest.mark.parametrize("generation", Generation)

@@ -1,0 +1,81 @@
+"""Interfaces over real ports."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.yarp_compat.dev.test_service import KITCHEN, Kept, Places
+from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
+from yarp_compat.dev.channel import PortChannel
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.returnvalue import OK, ReturnCode
+from yarp_compat.dev.server import Server
+from yarp_compat.wire import binary
+from yarp_compat.wire.errors import Incomplete
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+
+__all__ = ["make_port", "naming"]
+
+
+def whole(data: Buffer, size: int) -> int:
+    if len(data) < size:
+        raise Incomplete(f"{size} bytes")
+    return size
+
+
+@pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
+@pytest.mark.parametrize("generation", Generation)
+def test_a_client_and_a_server(make_port: MakePort, generation: Generation, carrier: str) -> None:
+    make_port("/server/rpc", Server(Kept(), Generations(generation)), rpc=True)
+    client = make_port("/client/rpc", rpc=True)
+    assert client.add_output(f"{carrier}://server/rpc")[0]
+    places = Places(PortChannel(client, generation, timeout=10))
+    assert places.get_location_RPC("kitchen")[0].code is ReturnCode.METHOD_FAILED
+    assert places.store_location_RPC("kitchen", KITCHEN) == OK
+    assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
+    assert places.names() == ["kitchen"]
+    assert places.introduce() == (3, 4, 0, 0)
+    assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
+
+
+def test_a_reply_of_a_megabyte(make_port: MakePort) -> None:
+    make_port("/server/rpc", Server(Kept(), Generations(Generation.YARP_3_11)), rpc=True)
+    client = make_port("/client/rpc", rpc=True)
+    assert client.add_output("/server/rpc")[0]
+    places = Places(PortChannel(client, Generation.YARP_3_11, timeout=30))
+    large = Map2DLocation("m", 0, 0, 0, "x" * 1_000_000)
+    places.store_location_RPC("large", large)
+    assert places.get_location_RPC("large") == (OK, large)
+
+
+def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
+    """One client of 4.0 that introduces itself, one of 3.9 that a rule names, one that nobody named."""
+    generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
+    make_port("/server/rpc", Server(Kept(), generations), rpc=True)
+    ports = {name: make_port(name, rpc=True) for name in ("/new/rpc", "/old/rpc", "/other/rpc")}
+    for port in ports.values():
+        assert port.add_output("/server/rpc")[0]
+    assert Places(PortChannel(ports["/new/rpc"], timeout=10)).introduce() is not None
+    store = Places.calls()["clear_RPC"].request([], Profile.YARP3)
+    ok = "00010000 01000000 09000000 6f6b0000"
+    for name, reply in [("/new/rpc", ok), ("/old/rpc", ok), ("/other/rpc", "01000000 00000000")]:
+        expected = bytes.fromhex(reply)
+        asked = ports[name].request(store, timeout=10, parse=lambda data: whole(data, len(expected)))  # noqa: B023
+        assert asked == expected
+    assert [(found.peer, found.generation) for found in generations.explain()] == [("/new/rpc", Generation.YARP_4)]
+
+
+def test_a_person_who_types(make_port: MakePort) -> None:
+    """As `yarp rpc` and `telnet` do: text, whatever the generation."""
+    kept = Kept()
+    kept.at["kitchen"] = KITCHEN
+    make_port("/server/rpc", Server(kept), rpc=True)
+    client = make_port("/person", rpc=True)
+    assert client.add_output("text_ack://server/rpc")[0]
+    reply = client.request(binary.encode(["get_location_RPC", "kitchen"], Profile.YARP3), timeout=10)
+    assert reply == b'[ok] (m1 1.5 -2.0 90.0 "by the door")\r\n' or binary.decode(reply) == [
+        "ok",
+        ["m1", 1.5, -2.0, 90.0, "by the door"],
+    ]
