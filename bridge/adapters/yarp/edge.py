@@ -50,7 +50,8 @@ _SETTLE = 0.02
 _MARK_AGAIN = 3.0
 """Seconds after the name server's return for which ports may be registered without their marks."""
 
-_AWAKE = 2.0
+_AWAKE = 0.9
+"""Seconds since its last record for which another worker is awake; less than `bridge.routing.election.SILENCE`."""
 
 
 class YarpEdge(Edge):
@@ -62,7 +63,7 @@ class YarpEdge(Edge):
         section = config.yarp
         self._config, self._registry = config, registry
         self._poll = section.poll
-        self._names = PortNames(section.output, section.input)
+        self._names = PortNames(section.output, section.input, config.name)
         self._contents = Contents(section, registry)
         self._network = YarpNetwork(section, state)
         self._owner = _owner(state / "yarp_owner")
@@ -78,6 +79,7 @@ class YarpEdge(Edge):
             config.limits.message_bytes,
             section.ip,
             self._awake,
+            self._names,
         )
         self._presence = Presence(
             self._owner, config.name, self._network.naming, registry, self._presence_changed, self._wake_up, section.ip
@@ -209,7 +211,8 @@ class YarpEdge(Edge):
 
     def _awake(self, owner: str) -> bool:
         now = time.monotonic()
-        return any(s.id == PRESENCE + owner and now - s.heard < _AWAKE for s in self._presence.sightings())
+        sightings = self._presence.sightings()
+        return any(s.id == PRESENCE + owner and s.record is not None and now - s.heard < _AWAKE for s in sightings)
 
     def warnings(self) -> list[str]:
         """The name server that is away, ports that cannot be opened or connected, types that are unknown."""

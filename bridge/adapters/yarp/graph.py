@@ -26,8 +26,11 @@ _ASK_SECONDS = 1.0
 _AGAIN = 2.0
 """Seconds after which a port that did not answer is tried again."""
 
-_UNTYPED = 5.0
-"""Seconds for which a port without a type may still tell it."""
+_SOON = 0.3
+"""The same the first time: it may have been registered and not listen yet."""
+
+_TELLING = 3.0
+"""Seconds after which a new port has told what it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,7 @@ class _Known:
     contact: Contact
     since: float
     made_by: MadeBy = MadeBy.UNKNOWN
-    type: str | None = None
+    type: str = ""
     latched: bool = False
     read: bool = False
 
@@ -120,7 +123,7 @@ class Graph:
         """A port that is registered cannot be reached."""
         contact = self.contacts.get(name)
         if contact is not None:
-            self._dead[name] = contact, time.monotonic() + _AGAIN
+            self._dead[name] = contact, time.monotonic() + _SOON
 
     def _revive(self) -> None:
         now = time.monotonic()
@@ -139,17 +142,17 @@ class Graph:
             known = self._known[name] = _Known(self.contacts[name], time.monotonic())
         if known.made_by is MadeBy.UNKNOWN:
             known.made_by = MadeBy.MIDSPAN if naming.get_property(name, OWNER) else MadeBy.NATIVE
-        nested = "@" in name and known.made_by is MadeBy.NATIVE
-        if nested and not known.type and (not known.read or time.monotonic() - known.since < _UNTYPED):
+        young = time.monotonic() - known.since < _TELLING
+        if "@" in name and known.made_by is MadeBy.NATIVE and (young or not known.read):
             known.read = True
-            known.type = self._type_of(naming, known.contact)
+            known.type = known.type or self._type_of(naming, known.contact)
             known.latched = str((naming.get_property(name, "latched") or [""])[0]).lower() in ("true", "1")
         return known
 
     # -- topics --------------------------------------------------------------------------------------------------------
 
     def _node(self, name: str, nested: NestedName, known: _Known, trouble: dict[str, str]) -> NodePort:
-        told, type_name = known.type or "", ""
+        told, type_name = known.type, ""
         try:
             type_name = self._ros2(told) if told else ""
         except MessageTypeError as err:

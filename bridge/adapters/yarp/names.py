@@ -16,10 +16,15 @@ DAEMON = "midspan"
 
 @dataclass(frozen=True, slots=True)
 class PortNames:
-    """The scheme of the configuration; ``{topic}`` stands for the topic's name."""
+    """The scheme of the configuration; ``{topic}`` stands for the topic's name.
+
+    Attributes:
+        daemon: the daemon's name, for ports whose name another daemon has.
+    """
 
     output_scheme: str
     input_scheme: str
+    daemon: str
 
     def may_be(self, name: str) -> bool:
         """Whether the bridge might have called a port so."""
@@ -27,6 +32,14 @@ class PortNames:
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
             for scheme in (self.output_scheme, self.input_scheme)
         )
+
+    def spare(self, name: str) -> str:
+        """Another name for a port, where a daemon on another hub has a port of the same topic."""
+        for scheme in (self.output_scheme, self.input_scheme):
+            before, _, behind = scheme.partition("{topic}")
+            if name.startswith(before) and name.endswith(behind):
+                return f"{before}/{self.daemon}{name[len(before) :]}"
+        return name
 
     def output(self, topic: str) -> str:
         """The port that writes a topic's messages."""

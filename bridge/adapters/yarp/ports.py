@@ -28,7 +28,10 @@ _log = logging.getLogger(__name__)
 _THREADS = 8
 _CONNECT_SECONDS = 2.0
 _AGAIN = 2.0
-"""Seconds after which what failed is tried again."""
+"""Seconds after which a port that could not be opened is tried again."""
+
+_LINK_AGAIN = 0.5
+"""Seconds after which a connection that could not be made is."""
 
 _STOP_SECONDS = 1.5
 
@@ -60,6 +63,7 @@ class OwnPorts:
         limit: bytes of the largest message.
         ip: address to listen on, None for the usual one.
         awake: tells whether another worker of Midspan's is there and not standing still.
+        names: the scheme.
     """
 
     def __init__(
@@ -74,13 +78,15 @@ class OwnPorts:
         limit: int,
         ip: str | None,
         awake: Callable[[str], bool],
+        names: PortNames,
     ) -> None:
-        self._awake = awake
+        self._awake, self._names = awake, names
         self._naming, self._owner, self._daemon = naming, owner, daemon
         self._contents, self._graph = contents, graph
         self._refused, self._changed = refused, changed
         self._limit, self._ip = limit, ip
         self._own: dict[str, Own] = {}
+        self._taken: frozenset[str] = frozenset()
         self._trouble: dict[str, tuple[float, str]] = {}
         self._pool = ThreadPoolExecutor(_THREADS, "midspan-yarp-links")
 
@@ -104,7 +110,7 @@ class OwnPorts:
 
     def is_ours(self, name: str) -> bool:
         """Whether this worker opened a port."""
-        return name in self._own
+        return name in self._taken
 
     def warnings(self) -> list[str]:
         """What cannot be opened or connected."""
@@ -133,39 +139,44 @@ class OwnPorts:
         if port.writes and output is None:
             return
         try:
-            self._take_name(port.name)
-            own = self._made(port, output)
+            own = self._made(port, self._free_name(port.name), output)
+            self._own[port.name] = own
+            self._taken |= {own.core.name}
             own.core.open()
             # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
-            self._naming.set_property(port.name, OWNER, self._owner)
+            self._naming.set_property(own.core.name, OWNER, self._owner)
         except (OSError, MessageTypeError) as err:
             self._trouble[port.name] = time.monotonic() + _AGAIN, f"{port.name}: {err}"
+            failed = self._own.pop(port.name, None)
+            if failed is not None:
+                self._close([failed])
             return
         self._trouble.pop(port.name, None)
-        self._own[port.name] = own
         if output is not None and port.writes:
             output.add(Outlet(own.core, port.content))
 
-    def _take_name(self, name: str) -> None:
-        """Refuse a name that another program has; one that a dead or other worker of ours left is taken over."""
-        known = self._naming.query(name)
-        if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
-            return
-        owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-        if owner != [self._owner] and (not owner or self._awake(owner[0])):
-            msg = "another program has a port of this name; choose other names with yarp.output and yarp.input"
-            raise NamingError(msg)
+    def _free_name(self, name: str) -> str:
+        """The name that a port gets: what a dead or stopped worker of ours has is taken over, nobody else's is."""
+        for wanted in (name, self._names.spare(name)):
+            known = self._naming.query(wanted)
+            if known is None or not connections.responds(known, timeout=_CONNECT_SECONDS):
+                return wanted
+            owner = [str(value) for value in self._naming.get_property(wanted, OWNER)]
+            if owner and (owner == [self._owner] or not self._awake(owner[0])):
+                return wanted
+        msg = "another program has a port of this name; choose other names with yarp.output and yarp.input"
+        raise NamingError(msg)
 
-    def _made(self, port: PortPlan, output: TopicOutput | None) -> Own:
+    def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> Own:
         side, profile = port.type, port.content.profile
         if port.writes:
             self._contents.codec(port.content, side, port.type_hash, profile)  # tells at once what cannot be said
-            core = self._core(port, None)
+            core = self._core(port, name, None)
             return Own(port, core, None, output, port.links)
         codec = self._contents.codec(port.content, side, port.type_hash, profile)
         only = None if port.own else self._linked(port.name)
-        inlet = Inlet(port.name, port.topic, side, codec, only, port.source, self.made_by, self._refused)
-        return Own(port, self._core(port, inlet), inlet, None, port.links)
+        inlet = Inlet(name, port.topic, side, codec, only, port.source, self.made_by, self._refused)
+        return Own(port, self._core(port, name, inlet), inlet, None, port.links)
 
     def _linked(self, name: str) -> Callable[[str], bool]:
         def is_linked(peer: str) -> bool:
@@ -176,11 +187,11 @@ class OwnPorts:
 
     def made_by(self, name: str) -> MadeBy:
         """Who made a port."""
-        return MadeBy.MIDSPAN if name in self._own else self._graph.made_by(name)
+        return MadeBy.MIDSPAN if self.is_ours(name) else self._graph.made_by(name)
 
-    def _core(self, port: PortPlan, inlet: Inlet | None) -> PortCore:
+    def _core(self, port: PortPlan, name: str, inlet: Inlet | None) -> PortCore:
         core = PortCore(
-            port.name,
+            name,
             on_message=inlet.on_message if inlet is not None else None,
             naming=self._naming,
             type_name="",
@@ -190,11 +201,11 @@ class OwnPorts:
             is_input=not port.writes,
             is_output=port.writes,
         )
-        core.on_event = lambda event: self._on_event(core, event)
+        core.on_event = lambda event: self._on_event(port.name, core, event)
         return core
 
-    def _on_event(self, core: PortCore, event: ConnectionEvent) -> None:
-        own = self._own.get(core.name)
+    def _on_event(self, name: str, core: PortCore, event: ConnectionEvent) -> None:
+        own = self._own.get(name)
         if own is not None and event.up and not event.incoming:
             target = event.route.target
             link = own.links.get(target)
@@ -216,15 +227,15 @@ class OwnPorts:
 
     def mark_again(self, contacts: Mapping[str, Contact] | None = None) -> None:
         """Register and mark the ports that a name server forgot; None: mark all that there are."""
-        for name, own in self._own.items():
-            if contacts is None or name not in contacts:
+        for own in self._own.values():
+            if contacts is None or own.core.name not in contacts:
                 own.core.register_again()
-                self._naming.set_property(name, OWNER, self._owner)
+                self._naming.set_property(own.core.name, OWNER, self._owner)
 
     def bury(self, contacts: Mapping[str, Contact], names: PortNames) -> None:
         """Remove what a dead predecessor of this worker left at the name server."""
         for name, contact in contacts.items():
-            if not names.may_be(name) or name in self._own:
+            if not names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
             if owner == [self._owner] and not connections.responds(contact, timeout=_CONNECT_SECONDS):
@@ -248,7 +259,7 @@ class OwnPorts:
                 elif peer not in self._graph.contacts:
                     self._trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
                 elif peer not in own.making and now >= own.due.get(peer, 0.0):
-                    own.due[peer] = now + _AGAIN
+                    own.due[peer] = now + _LINK_AGAIN
                     own.making[peer] = self._pool.submit(self._link, own, peer, link)
             for peer in [peer for peer, future in own.making.items() if future.done()]:
                 del own.making[peer]
@@ -284,6 +295,7 @@ class OwnPorts:
         self._close(owns)
 
     def _close(self, owns: list[Own]) -> None:
+        self._taken -= {own.core.name for own in owns}
         for own in owns:
             if own.output is not None:
                 own.output.drop(own.core)

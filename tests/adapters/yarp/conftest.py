@@ -1,0 +1,136 @@
+"""A hub, a YARP network beside it, and programs on both."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.contract.yarpside import YarpBridge
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+from yarp_compat.naming import connections
+from yarp_compat.naming.errors import NamingError
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire import binary
+from yarp_compat.wire.profile import Profile
+
+DEFINITIONS = Definitions(())
+
+
+class YarpPort:
+    """A port of a YARP program without any ROS."""
+
+    def __init__(self, names: Names, name: str, profile: Profile = Profile.YARP3) -> None:
+        self.name, self.names, self.profile = name, names, profile
+        self._heard: list[Message] = []
+        self._changed = threading.Condition()
+        self.core = PortCore(name, naming=names.client, on_message=self._hear, profile=profile)
+        self.core.open()
+
+    def _hear(self, message: Message) -> None:
+        with self._changed:
+            self._heard.append(message)
+            self._changed.notify_all()
+
+    def messages(self, count: int = 1, seconds: float = 10.0) -> list[Message]:
+        """All that came, once so many have or the time is over."""
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._heard) >= count, seconds)
+            return list(self._heard)
+
+    def bottles(self, count: int = 1, seconds: float = 10.0) -> list[Any]:
+        """The same as values."""
+        return [binary.decode(bytes(m.payload), self.profile) for m in self.messages(count, seconds)]
+
+    def write(self, values: list[Any] | bytes, envelope: str = "") -> None:
+        """Send a Bottle, or the bytes of another type."""
+        payload = values if isinstance(values, bytes) else binary.encode(values, self.profile)
+        self.core.write(payload, envelope, strict=True)
+
+    def listen_to(self, port: str) -> None:
+        """Have another port write to this one, once it is there."""
+        until(lambda: _connected(self.names, port, self.name), f"{port} is there")
+
+    def write_to(self, port: str) -> None:
+        """Write to another port from now on, once it is there."""
+        until(lambda: self.core.add_output(port)[0], f"{port} is there")
+
+    def stop(self) -> None:
+        self.core.close()
+
+
+def _connected(names: Names, source: str, target: str) -> bool:
+    try:
+        connections.connect(names.client, source, target)
+    except NamingError:  # registered, and not listening yet
+        return False
+    return True
+
+
+class Place:
+    """One test's networks and what was started on them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.hubs = QuickHub()
+        self.names = Names()
+        self._open: list[Any] = []
+        self._far: HubSide | None = None
+
+    def config(self, name: str = "here", *, yarp: dict[str, Any] | None = None, **sections: Any) -> Config:
+        """A configuration for this YARP network."""
+        own = {"nameserver": "site", "address": self.names.endpoint, "poll": 0.1, **(yarp or {})}
+        hub = {"listen": self.hubs.endpoint}
+        return Config.model_validate({"name": name, "state": self.folder, "hub": hub, "yarp": own, **sections})
+
+    def bridge(self, *topics: dict[str, Any], name: str = "here", **sections: Any) -> YarpBridge:
+        """The adapter with these rules of topics."""
+        yarp = {"topics": list(topics), **sections.pop("yarp", {})}
+        return self.keep(YarpBridge(self.config(name, yarp=yarp, **sections)))
+
+    @property
+    def far(self) -> HubSide:
+        """A native program of the hub."""
+        if self._far is None:
+            self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        return self._far
+
+    def port(self, name: str, profile: Profile = Profile.YARP3) -> YarpPort:
+        """A port of a YARP program."""
+        return self.keep(YarpPort(self.names, name, profile))
+
+    def program(self, node: str) -> YarpProgram:
+        """A YARP program that names its ports ``/topic@/node``."""
+        return self.keep(YarpProgram(self.names, node, DEFINITIONS))
+
+    def keep(self, thing: Any) -> Any:
+        """End it with the test."""
+        self._open.append(thing)
+        return thing
+
+    def close(self) -> None:
+        for thing in reversed(self._open):
+            thing.stop()
+        if self._far is not None:
+            self._far.hub.close()
+        self.names.stop()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    made = Place(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
