@@ -69,12 +69,15 @@ class ReplyReader:
         """The end where the bytes may be those of both profiles."""
         if len(set(ends.values())) == 1 and missing is None:
             return next(iter(ends.values()))
-        for profile, end in ends.items():
-            if self._acked and len(data) == end + ACKNOWLEDGED and _is_acknowledgement(data, end):
-                return self._decided((profile, end))
-        waits = self._acked and len(data) < max(ends.values(), default=0) + ACKNOWLEDGED
-        if Profile.YARP3 in ends and not waits:
+        if not self._acked and Profile.YARP3 in ends:
             return self._decided((Profile.YARP3, ends[Profile.YARP3]))
+        for profile, end in ends.items():
+            if self._acked and len(data) >= end + ACKNOWLEDGED:
+                if _is_acknowledgement(data, end):
+                    return self._decided((profile, end))
+                del self._walks[profile]
+        if not self._walks:
+            raise WireError("no acknowledgement follows the reply, in whichever profile it is read")
         raise missing or Incomplete("the acknowledgement is missing, which tells where the reply ends")
 
     def _decided(self, found: tuple[Profile, int]) -> int:

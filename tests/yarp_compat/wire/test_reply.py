@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.yarp_compat.wire.content import bottles, strings
@@ -37,6 +37,7 @@ def test_the_end_is_found_in_pieces(profile: Profile, values: list[Any], step: i
 
 @pytest.mark.parametrize("profile", Profile)
 @given(values=floats | st.lists(floats, max_size=3))
+@example(values=[[Float32(0.0)], ["000000000"]])
 def test_the_profile_is_told_by_an_acknowledged_reply(profile: Profile, values: list[Any]) -> None:
     wire = encode(values, profile)
     reader = ReplyReader()
@@ -76,6 +77,12 @@ def test_the_acknowledgement_decides() -> None:
             reader.end((wire + ACK)[:end])
     assert reader.end(wire + ACK) == len(wire)
     assert reader.profile is Profile.YARP4
+
+
+def test_what_no_acknowledgement_follows_in_either_profile_is_refused() -> None:
+    wire = encode([Float32(0.5)] * 2, Profile.YARP4)
+    with pytest.raises(WireError, match="no acknowledgement follows"):
+        ReplyReader().end(wire + b"x" * 16)
 
 
 def test_each_byte_is_looked_at_once() -> None:
