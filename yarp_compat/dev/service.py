@@ -68,7 +68,7 @@ class Service:
         return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask the server for its protocol, as clients of YARP 4 do; a server that says one is taken for 4.0.
+        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 tell it, and which YARP they are.
 
         Returns:
             the protocol, and YARP's major, minor and patch number; None where the server does not know the question.
@@ -80,7 +80,7 @@ class Service:
         reply = channel.request(out.payload(), version_end)
         version = read_version(reply)
         if version is not None:
-            channel.generation = Generation.YARP_4
+            channel.generation = Generation.YARP_3_12 if version[1] == 3 else Generation.YARP_4
         return version
 
     def _reached(self, name: str) -> Channel:

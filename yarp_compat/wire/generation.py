@@ -15,7 +15,6 @@ from fnmatch import fnmatchcase
 
 from yarp_compat.wire.profile import Profile
 
-_INTRODUCED = "it asked for the protocol's version, as clients of 4.0 do"
 MOST_PEERS = 4096
 """Peers whose own words are remembered; the longest known goes first."""
 
@@ -96,12 +95,14 @@ class Generations:
 
     def introduced(self, peer: str) -> None:
         """The peer asked for the protocol's version, as only clients of 4.0 do."""
-        self._remember(peer, Generation.YARP_4, _INTRODUCED)
+        self._remember(peer, Generation.YARP_4, "it asked for the protocol's version, as clients of 4.0 do")
 
     def recognised(self, peer: str, profile: Profile) -> None:
-        """The peer wrote bytes that only one profile explains; who introduced itself stays what it said."""
-        decided = self.of(peer)
-        if profile is decided.generation.profile or decided.reason == _INTRODUCED:
+        """The peer wrote bytes that only one profile explains: that outweighs all else, also an introduction.
+
+        (3.12's servers answer introductions, and clients of services of one's own may send them there.)
+        """
+        if profile is self.of(peer).generation.profile:
             return
         found = Generation.YARP_4 if profile is Profile.YARP4 else self._older
         self._remember(peer, found, f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s")

@@ -185,6 +185,22 @@ def test_an_old_server_does_not_know_introductions() -> None:
     assert old.generation is Generation.YARP_3_12
 
 
+def test_a_server_of_3_12_tells_that_it_is_one() -> None:
+    """Its generated services answer introductions by their own version."""
+
+    class Older:
+        generation = Generation.YARP_4
+
+        def request(self, _payload: bytes, parse: Callable[[bytes], int]) -> bytes:
+            reply = bytes.fromhex("00010000 01000000 0000 0300 0c00 0300")
+            assert parse(reply + b"YA") == len(reply)
+            return reply
+
+    older = Older()
+    assert Places(older).introduce() == (0, 3, 12, 3)
+    assert older.generation is Generation.YARP_3_12
+
+
 REPLIES = {
     Generation.YARP_3_6: "00010000 02000000 09000000 6f6b0000 09000000 6c6f6379",
     Generation.YARP_3_11: "00010000 02000000 00000000 00000000 09000000 6c6f6379",
@@ -301,9 +317,9 @@ def test_the_dialect_of_a_request_tells_the_generation() -> None:
         ALONE[Generation.YARP_3_12]
     )
     assert "YARP 3" in server.generations.of("/old").reason
-    server.generations.introduced("/old")
-    server.generations.recognised("/old", Profile.YARP3)
-    assert server.generations.of("/old").generation is Generation.YARP_4
+    server.generations.introduced("/new")
+    server.generations.recognised("/new", Profile.YARP3)
+    assert server.generations.of("/new").generation is Generation.YARP_3_12
 
 
 @pytest.mark.parametrize("generation", Generation)
