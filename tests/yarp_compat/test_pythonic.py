@@ -73,7 +73,7 @@ def test_what_fails_is_raised(naming: LocalNaming) -> None:
     with pytest.raises(PortError, match="/nowhere"):
         Client("/nowhere", naming=naming).open()
     waiting = threading.Event()
-    server = Server("/s", lambda values: [waiting.wait(5)], naming=naming)
+    server = Server("/s", lambda _: [waiting.wait(5)], naming=naming)
     with server, Client("/s", naming=naming) as client:
         with pytest.raises(TimeoutError):
             client.ask([1], timeout=0.05)
@@ -86,9 +86,9 @@ def test_asyncio(naming: LocalNaming) -> None:
         return [len(values)]
 
     async def run() -> None:
-        async with aio.Server("/s", slowly, naming=naming), aio.Client("/s", naming=naming) as client:
-            async with aio.Client("/s", naming=naming) as other:
-                assert await asyncio.gather(client.ask([1, 2]), other.ask([])) == [[2], [0]]
+        client, other = (aio.Client("/s", naming=naming) for _ in range(2))
+        async with aio.Server("/s", slowly, naming=naming), client, other:
+            assert await asyncio.gather(client.ask([1, 2]), other.ask([])) == [[2], [0]]
         async with aio.Reader("/r", strict=True, naming=naming) as reader, aio.Writer("/w", naming=naming) as writer:
             await writer.connect("/r")
             for number in range(3):

@@ -56,6 +56,7 @@ class RFModule:
 
     def __init__(self) -> None:
         self._stop = threading.Event()
+        self._interrupting = threading.RLock()
         self._thread: threading.Thread | None = None
         self._ran = False
         self._name = ""
@@ -124,7 +125,8 @@ class RFModule:
         try:
             self._loop()
             log.info("RFModule closing.")
-            self.close()
+            with self._interrupting:
+                self.close()
             log.info("RFModule finished.")
         finally:
             for number, handler in before.items():
@@ -156,9 +158,10 @@ class RFModule:
 
     def stopModule(self, wait: bool = False) -> None:
         """End the loop after the round that runs."""
-        self._stop.set()
-        if not self.interruptModule():
-            log.error("interruptModule() returned an error there could be problems shutting down the module.")
+        with self._interrupting:  # close() comes after it
+            self._stop.set()
+            if not self.interruptModule():
+                log.error("interruptModule() returned an error there could be problems shutting down the module.")
         if wait:
             self.joinModule()
 

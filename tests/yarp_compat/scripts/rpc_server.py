@@ -1,0 +1,32 @@
+"""Answers questions on a port until it is told to stop: ``read`` with a reply, then ``reply``."""
+
+import sys
+
+import yarp
+
+yarp.Network.init()
+port = yarp.RpcServer()
+if not port.open(sys.argv[1]):
+    sys.exit(1)
+running = True
+while running:
+    command, reply = yarp.Bottle(), yarp.Bottle()
+    if not port.read(command, True):
+        break
+    verb = command.get(0).asString()
+    if verb == "sum":
+        reply.addFloat64(sum(command.get(i).asFloat64() for i in range(1, command.size())))
+    elif verb == "reverse":
+        words = [command.get(i).toString() for i in range(1, command.size())]
+        answer = reply.addList()
+        for word in reversed(words):
+            answer.addString(word)
+    elif verb == "stop":
+        reply.addVocab32("o", "k")
+        running = False
+    else:
+        reply.addString("unknown")
+        reply.append(command)
+    port.reply(reply)
+port.close()
+yarp.Network.fini()
