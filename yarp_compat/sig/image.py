@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from yarp_compat.sig.conversion import convert
 from yarp_compat.sig.pixels import PIXELS, Format, PixelCode, format_of
+from yarp_compat.sig.vector import VectorOf
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.portable import Portable
@@ -143,8 +144,8 @@ class Image(Portable):
         if self._row != _padded(self._width * self.getPixelSize(), quantum):
             self._fill(self.numpy())
 
-    def setExternal(self, data: Buffer | NDArray[Any], width: int, height: int) -> None:
-        """Use this memory for the pixels: an array, or any buffer in one piece.
+    def setExternal(self, data: Buffer | NDArray[Any] | VectorOf, width: int, height: int) -> None:
+        """Use this memory for the pixels: an array, a vector's, or any buffer in one piece.
 
         Rows are taken to be padded to the image's quantum, or not at all where the memory's size says so. The image
         is read into this memory as long as what comes has this size and kind.
@@ -152,7 +153,8 @@ class Image(Portable):
         Raises:
             ValueError: it is too small, or not in one piece.
         """
-        view = data.data if isinstance(data, np.ndarray) else memoryview(data)
+        held = data.numpy() if isinstance(data, VectorOf) else data  # which scripts for YARP's bindings do
+        view = held.data if isinstance(held, np.ndarray) else memoryview(held)
         if not view.c_contiguous:
             msg = "the memory of an image must be in one piece: numpy.ascontiguousarray makes it so"
             raise ValueError(msg)

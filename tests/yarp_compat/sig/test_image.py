@@ -26,6 +26,7 @@ from yarp_compat.sig.image import (
     ImageRgbFloat,
 )  # fmt: skip
 from yarp_compat.sig.pixels import PIXELS, PixelCode, PixelRgb, format_of
+from yarp_compat.sig.vector import Vector
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
@@ -267,3 +268,12 @@ def test_copies() -> None:
     assert (flexible.getPixelCode(), flexible.width()) == (PixelCode.RGB, 4)
     flexible.setPixelSize(5)
     assert (flexible.getPixelCode(), flexible.width()) == (-5, 0)
+
+
+def test_a_vectors_memory_is_taken_too() -> None:
+    """As YARP's own test of its Python bindings does it."""
+    vector, image = Vector(320 * 240), ImageMono()
+    image.setExternal(vector, 320, 240)
+    image.setPixel(1, 0, 255)
+    assert (image.width(), image.height()) == (320, 240)
+    assert vector.numpy().view("u1")[1] == 255
