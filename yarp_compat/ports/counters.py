@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 class Counters:
     """Messages, by one direction each; ``dropped`` by reason.
 
-    The reasons: ``replaced`` (a newer message took its place), ``full`` (a strict queue was full), ``lost`` (the
-    connection ended first), ``interrupted`` (the port was), ``malformed``, ``too large``, ``no reader``, ``failed``
-    (the port's owner raised an error), and for datagrams ``checksum`` and ``incomplete``.
+    The reasons: ``replaced`` (a newer message took its place), ``full`` (the oldest of a strict queue that was full),
+    ``lost`` (the connection ended first), ``interrupted`` (the port was), ``malformed`` (above the limit too),
+    ``no reader``, ``failed`` (the port's owner raised an error), and for datagrams ``checksum`` and ``incomplete``.
     """
 
     received: int = 0

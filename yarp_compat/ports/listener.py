@@ -45,7 +45,7 @@ class Listener:
         self._refused = refused
         self._silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
-        sock.listen(128)
+        sock.listen(1024)
         sock.setblocking(False)
         loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
 

@@ -100,14 +100,15 @@ class Output:
             wait: the caller will call :meth:`finish` where the message is not done.
 
         Returns:
-            The message, or None where it was dropped.
+            The message, or None where the peer is gone.
         """
         item = Item(buffers, wait)
         with self._changed:
             if self.closed:
                 return None
             if self._driven:
-                return item if self._queue(item, strict) else None
+                self._queue(item, strict)
+                return item
             self._driven = True
         try:
             free = not self._due or self._take_ack(self._sock)
@@ -207,22 +208,21 @@ class Output:
 
     # -- the queue ----------------------------------------------------------------------------------------------------
 
-    def _queue(self, item: Item, strict: bool) -> bool:
-        """Let a message wait for its turn; with the lock held."""
+    def _queue(self, item: Item, strict: bool) -> None:
+        """Let a message wait for its turn, the oldest go where there are too many; with the lock held."""
         if not strict:
             self.counters.dropped["replaced"] += len(self._pending)
             self._pending.clear()
             self._pending_bytes = 0
         size = message.size(item.buffers)
-        if self._pending and self._pending_bytes + size > self._limit:
+        while self._pending and self._pending_bytes + size > self._limit:
+            self._pending_bytes -= message.size(self._pending.popleft().buffers)
             self.counters.dropped["full"] += 1
-            return False
         if not item.ours:
             item.buffers = [b"".join(item.buffers)]  # its owner may change them
         item.ours = False
         self._pending.append(item)
         self._pending_bytes += size
-        return True
 
     def _hand_over(self) -> None:
         """Let the shared thread go on."""

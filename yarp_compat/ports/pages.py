@@ -9,6 +9,7 @@ from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.message import Message
 from yarp_compat.wire import http
 from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Contact
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.http import Request
 from yarp_compat.wire.text import from_text, to_text
@@ -55,16 +56,20 @@ class PageInput(Input):
             words = decode(self.port.administer(encode(from_text(told), self.port.profile), self))
             return self._page([to_text(words)])
         if "req" in query:
-            return self._message(from_text(query["req"]), as_json=True)
+            told = {"format": "json", **query, "REQUEST_URI": request.target}
+            values = [*from_text(query["req"]), *([key, told[key]] for key in sorted(told))]
+            return self._message(values, query.get("outer", "auto"))
         if "data" in query:
-            return self._message(from_text(query["data"]), as_json=query.get("format") == "json")
+            return self._message(
+                from_text(query["data"]), query.get("outer", "auto") if query.get("format") == "json" else ""
+            )
         if not request.path:
             return self._page(describe(self.port))
         words = [*from_text(request.path.replace("/", " ")), *([[k, v] for k, v in query.items()])]
-        return self._message(words, as_json=False)
+        return self._message(words)
 
-    def _message(self, values: list[Any], *, as_json: bool) -> bytes:
-        """Give the port's owner a message, and show the reply."""
+    def _message(self, values: list[Any], json: str = "") -> bytes:
+        """Give the port's owner a message, and show the reply; as JSON ``dict``, ``list``, ``auto``."""
         message = Message(encode(values, self.port.profile), "", self, wants_reply=True)
         self.counters.received += 1
         reply = self.deliver(message)
@@ -72,8 +77,8 @@ class PageInput(Input):
         if message.is_plain:
             return self._page(bytes(data).decode(errors="replace").split("\r\n"))
         told = decode(data)
-        if as_json:
-            return http.response(http.as_json(told), "application/json")
+        if json:
+            return http.response(http.as_json(told, json), "text/json")
         own = dict(zip(told[::2], told[1::2], strict=False)) if told[:1] == ["web"] else {}
         if own:  # a page that the owner made himself
             return http.response(
@@ -82,4 +87,5 @@ class PageInput(Input):
         return self._page([str(v) for v in told[1:]] if told[:1] == ["many"] else [to_text(told)])
 
     def _page(self, lines: tuple[str, ...] | list[str]) -> bytes:
-        return http.response(http.page(self.port.name, lines))
+        names = getattr(self.port.naming, "contact", None)
+        return http.response(http.page(self.port.name, lines, names if isinstance(names, Contact) else None))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from yarp_compat.naming.naming import Naming
-from yarp_compat.ports import admin, commands, loop, process, watch
+from yarp_compat.ports import admin, commands, loop, process
 from yarp_compat.ports.address import bound
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
 from yarp_compat.ports.counters import Counters
@@ -122,16 +122,8 @@ class PortCore:
             self._listener = Listener(shared, sock, self._opened, self._refused)
             shared.call(self._look)
             process.add(self)
-        watch.shared.add(self)
         self.naming.announce(self.name)
         return contact
-
-    def register_again(self) -> None:
-        """Tell a name server that forgot this port where it is; the same address as before."""
-        with self._life:
-            if self._loop is not None:
-                self.naming.register(self.name, self.contact.host, self.contact.port)
-                self.naming.announce(self.name)
 
     def close(self) -> None:
         """End all connections, give the name back, and leave nothing behind."""
@@ -151,7 +143,6 @@ class PortCore:
             connection.close()
         for connection in inputs:
             connection.join(5.0)
-        watch.shared.remove(self)
         try:
             self.naming.unregister(self.name)
         except OSError as error:

@@ -6,6 +6,7 @@ import html
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 from urllib.parse import parse_qsl, unquote_plus, urlsplit
 
@@ -23,12 +24,14 @@ class Request:
     """What a browser asks.
 
     Attributes:
-        path: what is asked for, without its leading slash and its query.
+        target: what is asked for, as it was written.
+        path: the same without its leading slash and its query.
         query: the query's fields; a form's too.
         length: bytes of the body that follows.
         foreign: a page of somebody else asks, in a browser's user's name.
     """
 
+    target: str
     path: str
     query: dict[str, str]
     length: int
@@ -36,7 +39,8 @@ class Request:
 
     def with_form(self, body: bytes) -> Request:
         """The same with the fields of a form."""
-        return Request(self.path, {**self.query, **_fields(body.decode(errors="replace"))}, 0, self.foreign)
+        fields = {**self.query, **_fields(body.decode(errors="replace"))}
+        return Request(self.target, self.path, fields, 0, self.foreign)
 
 
 def parse(head: bytes) -> Request:
@@ -59,11 +63,10 @@ def parse(head: bytes) -> Request:
         msg = f"a form of {told[:20]!r} bytes; at most {LONGEST_BODY} are taken"
         raise WireError(msg)
     origin = headers.get("origin", "")
-    foreign = bool(origin) and origin != "null" and not origin.endswith("//" + headers.get("host", ""))
+    foreign = bool(origin) and not origin.endswith("//" + headers.get("host", ""))
+    foreign = foreign or headers.get("sec-fetch-site") == "cross-site"
     path, query = _split(words[1])
-    return Request(
-        path, query, int(told) if words[0] == "POST" else 0, foreign or headers.get("sec-fetch-site") == "cross-site"
-    )
+    return Request(words[1], path, query, int(told) if words[0] == "POST" else 0, foreign)
 
 
 def _split(target: str) -> tuple[str, dict[str, str]]:
@@ -106,15 +109,19 @@ STREAM_END = b"0\r\n\r\n"
 _LINKS = (("/", "connections"), ("/data=help", "help"), ("/r", "read"))
 
 
-def page(name: str, lines: Sequence[str]) -> bytes:
+def page(name: str, lines: Sequence[str], names: Contact | None = None) -> bytes:
     """A page about a port.
 
-    Links to what can be asked of it, a form to send it a message, and lines, those that name a port as links to
-    that.
+    Args:
+        name: its name.
+        lines: shown below links to what can be asked of it and a form to send it a message; those that tell where a
+            port is, are links to that.
+        names: the name server, to link to.
     """
     body = "\n".join(_linked(line) for line in lines)
     told = html.escape(name)
-    links = "&nbsp;&nbsp;".join(f'(<a href="{path}">{what}</a>)' for path, what in _LINKS)
+    known = [(f"http://{names.host}:{names.port}/data=list", "All ports")] if names else []
+    links = "&nbsp;&nbsp;".join(f'(<a href="{html.escape(to)}">{what}</a>)' for to, what in (*known, *_LINKS))
     return (
         f"<!DOCTYPE html><html><head><title>{told}</title></head><body bgcolor='#ffffcc'><h1>yarp port {told}</h1>\n"
         f"<p>{links}</p>\n"
@@ -134,20 +141,33 @@ def _linked(line: str) -> str:
     return f'<a href="{address}">{name}</a>{" " * max(1, 30 - len(contact.name))}({html.escape(contact.uri)})'
 
 
-def as_json(values: Sequence[Any]) -> bytes:
-    """A Bottle as JSON: lists of (key value) are objects, other lists are arrays."""
-    return json.dumps(_plain(values), ensure_ascii=True, allow_nan=False, default=str).encode()
+def as_json(values: Sequence[Any], outer: str = "auto") -> bytes:
+    """A Bottle as JSON, by YARP's rules: lists of (key value), perhaps behind a word, are objects, others arrays."""
+    return json.dumps(_plain(values, outer), default=str).encode()
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, outer: str = "auto") -> Any:
     if isinstance(value, dict):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        if len(value) > 1 and all(isinstance(v, (list, tuple)) and len(v) == 2 for v in value):
-            return {str(k): _plain(v) for k, v in value}
-        return [_plain(v) for v in value]
-    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return _struct(value, outer)
+    if isinstance(value, float) and not isfinite(value):
         return str(value)
     if isinstance(value, (bytes, bytearray)):
         return list(value)
     return value
+
+
+def _struct(values: Sequence[Any], outer: str) -> Any:
+    """A list: an object where it says ``dict`` first or looks like one, else an array."""
+    first = values[0] if values and isinstance(values[0], str) else ""
+    if first in ("list", "dict"):
+        outer, values, first = first, values[1:], ""
+    pairs = values[1:] if first else values
+    if outer == "auto":
+        paired = all(isinstance(v, (list, tuple)) and len(v) == 2 for v in pairs)
+        outer = "dict" if paired and len(values) > 1 else "list"
+    if outer == "list":
+        return [_plain(v) for v in values]
+    made = {"type": str(first)} if first else {}
+    return {**made, **{str(v[0]): _plain(v[1]) for v in pairs if isinstance(v, (list, tuple)) and len(v) > 1}}

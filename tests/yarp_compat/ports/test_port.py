@@ -380,16 +380,3 @@ def test_asked_number_and_name(naming: LocalNaming) -> None:
     port.close()
     port.close()
     assert naming.query(contact.name) is None
-
-
-def test_registered_again_when_forgotten(
-    make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("yarp_compat.ports.watch.PERIOD", 0.05)
-    ports = [make_port("/a"), make_port("/b")]
-    where = [naming.query(p.name) for p in ports]
-    for port in ports:
-        naming.unregister(port.name)
-    until(lambda: [naming.query(p.name) for p in ports] == where, "both are known again, where they were")
-    ports[0].close()
-    assert naming.query("/a") is None

@@ -238,13 +238,13 @@ class Stage:
     [("/writer", 10003, ("/reader", 10002), "connect.txt"), ("/w", 10006, ("/r", 10005), "carriers-admin.txt")],
 )
 def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile: Profile) -> None:
-    """A companion connects our port to another, ours writes, it is disconnected: by fast_tcp, udp, text and text_ack."""
+    """A companion connects our port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
+    left_out = MCAST if own == 10006 else range(0)
+    recorded = [t for t in talks(file, own, other[1], without=left_out) if t.steps]
     with opened(name, own, profile=profile) as (port, address):
         stage = Stage(port, address, own, other[1], profile)
         port.naming.register(other[0], *stage.server.getsockname())
         try:
-            left_out = MCAST if own == 10006 else range(0)
-            recorded = [t for t in talks(file, own, other[1], without=left_out) if t.steps]
             if own == 10003:
                 stage.play([_without_quit(t) for t in recorded])  # there the writer ended with its process
             else:
