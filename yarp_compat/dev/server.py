@@ -14,6 +14,7 @@ from typing import Any, Protocol
 from yarp_compat.dev.call import Call
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Service, write_version
+from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.message import Buffer
@@ -50,6 +51,8 @@ class Request(Protocol):
 class Server:
     """Makes an interface's implementation what a port calls for each message.
 
+    It is a port's ``on_message``, and its :meth:`on_event` the port's.
+
     Args:
         service: the implementation.
         generations: what peers are answered in; kept by who owns it, so that it can be shown.
@@ -71,6 +74,11 @@ class Server:
         request.reply(self.answer(request.payload, name, peer.profile, text=peer.carrier.text))
         if not peer.carrier.text and self.generations.of(name).generation is Generation.YARP_4:
             peer.profile = Profile.YARP4
+
+    def on_event(self, event: ConnectionEvent) -> None:
+        """Hear that a connection came or went: who calls now may be another than who had its name before."""
+        if event.incoming and event.up:
+            self.generations.forget(event.route.source)
 
     def answer(self, payload: Buffer, peer: str = "", profile: Profile | None = None, *, text: bool = False) -> bytes:
         """The reply to a request.

@@ -68,7 +68,7 @@ class Service:
         return found
 
     def introduce(self) -> tuple[int, int, int, int] | None:
-        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 tell it, and which YARP they are.
+        """Ask the server for its protocol, as clients of YARP 4 do; servers since 3.12 say it and what they are.
 
         Returns:
             the protocol, and YARP's major, minor and patch number; None where the server does not know the question.

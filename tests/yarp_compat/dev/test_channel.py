@@ -67,6 +67,20 @@ def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
     assert [(found.peer, found.generation) for found in generations.explain()] == [("/new/rpc", Generation.YARP_4)]
 
 
+def test_a_name_that_calls_again_is_unknown_again(make_port: MakePort) -> None:
+    server = Server(Kept())
+    make_port("/server/rpc", server, rpc=True, on_event=server.on_event)
+    client = make_port("/client/rpc", rpc=True)
+    for _ in range(2):
+        assert client.add_output("/server/rpc")[0]
+        places = Places(PortChannel(client, timeout=10))
+        assert places.clear_RPC() == OK
+        assert server.generations.explain() == []
+        assert places.introduce() is not None
+        assert len(server.generations.explain()) == 1
+        assert client.remove_output("/server/rpc")
+
+
 def test_a_person_who_types(make_port: MakePort) -> None:
     """As `yarp rpc` and `telnet` do: text, whatever the generation."""
     kept = Kept()
