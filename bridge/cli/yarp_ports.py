@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 import queue
+import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from bridge.cli.errors import CliError
@@ -187,4 +188,17 @@ def _profile(args: argparse.Namespace) -> Profile:
     return Profile.YARP4 if args.yarp4 else Profile.YARP3
 
 
-VERBS = {"read": _read, "write": _write, "rpc": _rpc}
+def _ended_by_signals(verb: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    """Have SIGTERM end a verb as Ctrl-C does, so that its port is unregistered."""
+
+    def run(args: argparse.Namespace) -> int:
+        former = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            return verb(args)
+        finally:
+            signal.signal(signal.SIGTERM, former)
+
+    return run
+
+
+VERBS = {"read": _ended_by_signals(_read), "write": _ended_by_signals(_write), "rpc": _rpc}

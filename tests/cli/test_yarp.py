@@ -209,6 +209,20 @@ def test_reading(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner])
     assert NameClient(server.address).query("/in") is None
 
 
+def test_an_end_by_a_signal(server: NameServer) -> None:
+    """A reader that is told to end gives its name back."""
+    names = NameClient(server.address)
+    reader = Process([sys.executable, "-m", "bridge.cli.main", "yarp", "read", "/in"], os.environ)
+    try:
+        until(lambda: "is open" in reader.output(), "it reads", seconds=30.0)
+        assert names.query("/in") is not None
+        reader.signal(signal.SIGTERM)
+        assert reader.popen.wait(10.0) == 0, reader.output()
+        assert names.query("/in") is None
+    finally:
+        reader.stop()
+
+
 def test_asking(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
     """A port's owner, and the port itself."""
     owners("/p")

@@ -82,24 +82,36 @@ class NameClient:
         command: list[Any] = ["register", wanted]
         if host or port or carrier:
             command += [carrier or "tcp", host or "...", port or "..."]
-        contact = Contact.from_registration(self.line(command))
-        if contact is None:
-            msg = f"the name server at {self._where()} did not take {name}: it may be full, or the name is its own"
-            raise NameRefusedError(msg)
-        for key, words in self._about().items():
-            self.line(["set", contact.name, key, *words])
+        contact = self._enter(command)
         self._registered[contact.name] = _Registered(contact)
         return contact
 
-    def restore(self, contact: Contact) -> None:
+    def _enter(self, command: Sequence[Any]) -> Contact:
+        """Register a port, and say what a C++ port says of itself."""
+        contact = Contact.from_registration(self.line(command))
+        if contact is None:
+            msg = (
+                f"the name server at {self._where()} did not take {command[1]}: it may be full, or the name is its own"
+            )
+            raise NameRefusedError(msg)
+        for key, words in self._about().items():
+            self.line(["set", contact.name, key, *words])
+        return contact
+
+    def restore(self, name: str) -> None:
         """Tell a name server that forgot it of a port that listens, and of what was set at it."""
-        former = self._registered.get(contact.name)
-        self.register(contact.name, contact.host, contact.port, carrier=contact.carrier)
-        if former:
-            self._registered[contact.name] = former
-            for key, values in list(former.properties.items()):
-                self.set_property(contact.name, key, *values)
-        self.announce(contact.name)
+        known = former = self._registered.get(name)
+        while known is not None:
+            contact = known.contact
+            self._enter(["register", name, contact.carrier, contact.host, contact.port])
+            for key, values in list(known.properties.items()):
+                self._set(name, key, values)
+            self.lines(["announce", name])
+            former, known = known, self._registered.get(name)
+            if known is former:
+                return
+        if former is not None:
+            self.lines(["unregister", name])  # it was closed meanwhile
 
     def unregister(self, name: str) -> None:
         """Forget a port; see `Naming.unregister`."""
@@ -128,6 +140,9 @@ class NameClient:
         """Keep values under a key of a port; see `Naming.set_property`."""
         if name in self._registered:
             self._registered[name].properties[key] = values
+        self._set(name, key, values)
+
+    def _set(self, name: str, key: str, values: Sequence[Any]) -> None:
         command = ["set", name, key, *values]
         if any(_is_quoted(v) for v in values):
             talk.ask(self.contact, command, timeout=self._timeout)  # a carrier that keeps quotes

@@ -29,12 +29,8 @@ class Names(Protocol):
         """Where a port is."""
         ...
 
-    def restore(self, contact: Contact) -> None:
-        """Register a port again as it was."""
-        ...
-
-    def unregister(self, name: str) -> None:
-        """Forget a port."""
+    def restore(self, name: str) -> None:
+        """Register a port again as it was, unless it is closed by now."""
         ...
 
 
@@ -100,11 +96,7 @@ class Keeper:
         if lost or names in self._away:
             lost += self._lost(names, [c for c in contacts if c not in some])
         for contact in lost:
-            names.restore(contact)
-            with self._lock:
-                kept = contact.name in self._kept.get(names, {})
-            if not kept:
-                names.unregister(contact.name)  # it was closed meanwhile
+            names.restore(contact.name)
         if lost or names in self._away:
             _log.info("the name server is back: %d of %d ports are registered again", len(lost), len(contacts))
         self._away.discard(names)

@@ -169,8 +169,9 @@ class Registry:
             KeyError, TypeError, ValueError: it is not what `state` gives.
         """
         for name, carrier, host, port, properties in state["ports"]:
-            if is_name(name) and len(self._ports) < MAX_PORTS:
-                self.add(Contact(str(name), str(host), int(port), str(carrier)))
+            sane = is_name(name) and is_name(carrier) and is_name(host) and 0 <= int(port) <= 0xFFFF
+            if sane and name != self.server.name and len(self._ports) < MAX_PORTS:
+                self.add(Contact(name, host, int(port), carrier))
                 kept = {str(key): [str(v) for v in values] for key, values in properties.items()}
                 self._ports[name].properties.update(kept)
         self._types = {(str(family), str(name)): str(value) for family, name, value in state["types"]}

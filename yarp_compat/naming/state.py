@@ -24,6 +24,6 @@ def loads(registry: Registry, data: bytes) -> None:
             msg = f"it is of version {state['version']!r}, not 1"
             raise ValueError(msg)
         registry.restore(state)
-    except (AttributeError, KeyError, TypeError, RecursionError) as err:
+    except (AttributeError, KeyError, OverflowError, TypeError, RecursionError) as err:
         msg = f"it is not a name server's state ({type(err).__name__}: {err})"
         raise ValueError(msg) from None

@@ -14,7 +14,7 @@ MAX_NAME = 1024
 """Longest port name that is taken, in characters."""
 
 _ADDRESS = re.compile(r"/(?P<host>[^:/]*):(?P<port>\d+)(?=/|$)")
-_REFUSED = re.compile(r"[\x00-\x20\x7f\"]")
+_REFUSED = re.compile(r"[\x00-\x20\x7f\"\\]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Contact:
     @classmethod
     def from_registration(cls, line: str) -> Contact | None:
         """Read the name server's line; None where it is not one."""
-        words = line.replace('"', "").split()
+        words = [word for word in line.replace('"', "").strip("\r\n").split(" ") if word]
         if len(words) < 9 or words[0] != "registration":
             return None
         if not words[6].isdigit() or int(words[6]) > 0xFFFF:

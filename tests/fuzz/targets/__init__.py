@@ -3,8 +3,36 @@
 from __future__ import annotations
 
 from tests.fuzz.target import Target
-from tests.fuzz.targets import cli, config, daemon, definitions, hub, interfaces, messages, ros1, ros2, yarp_data, zenoh
+from tests.fuzz.targets import (
+    cli,
+    config,
+    daemon,
+    definitions,
+    hub,
+    interfaces,
+    messages,
+    ros1,
+    ros2,
+    yarp_data,
+    yarp_names,
+    yarp_ports,
+    zenoh,
+)
 
-_MODULES = (messages, definitions, interfaces, ros1, ros2, hub, config, daemon, cli, zenoh, yarp_data)
+_MODULES = (
+    messages,
+    definitions,
+    interfaces,
+    ros1,
+    ros2,
+    hub,
+    config,
+    daemon,
+    cli,
+    zenoh,
+    yarp_data,
+    yarp_names,
+    yarp_ports,
+)
 
 TARGETS: dict[str, Target] = {target.name: target for module in _MODULES for target in module.TARGETS}
