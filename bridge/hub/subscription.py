@@ -161,8 +161,11 @@ class HubSubscription:
             return
         # zenoh may call from several threads at once, one per link
         with self._lock:
-            source = self._source(message, sample)
-            gap = None if source.zid == self._own else source.take(message)
+            source = self._sources.get(message.gid)
+            if source is None or not source.zid:
+                source = self._source(message, sample)
+            message.zid = zid = source.zid
+            gap = None if zid == self._own else source.take(message)
             if gap is None:
                 return
             self.lost += gap

@@ -198,7 +198,7 @@ class OutRoute(Route):
         return self._natives.get(sample.zid) if sample.zid else next(iter(self._natives.values()), None)
 
     def _handle(self, sample: HubSample) -> None:
-        source = self._source_of(sample)
+        source = self._sources.get(sample.gid) or self._source_of(sample)
         if source is not None:
             self._publish(sample, source)
             return
@@ -261,7 +261,7 @@ class OutRoute(Route):
             self.counters.dropped("unknown")
             return
         try:
-            data, name = sample.data(), sample.gid.hex()
+            data, name = sample.payload.to_bytes(), sample.gid.hex()
             if self._static is not None and source.latched:
                 data, name = self._static.merge(data), _STATIC
             if self.conversion.convert is not None:
