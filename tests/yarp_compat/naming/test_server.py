@@ -129,12 +129,12 @@ def test_a_taken_address(server: NameServer) -> None:
 def test_long_lines_and_garbage(server: NameServer, names: NameClient) -> None:
     """Lines without end and what nobody understands end their connection, not the server."""
     for data in (b"NAME_SERVER query " + b"x" * 200_000, b"NAME_SERVER " + b"(" * 60_000 + b"\n", b"GARBAGE!" * 9):
-        with socket.create_connection(("127.0.0.1", server.address.port), 10.0) as sock:
-            with contextlib.suppress(OSError):  # it may close at any time
-                sock.sendall(data)
-                sock.shutdown(socket.SHUT_WR)
-                while sock.recv(65536):
-                    pass
+        peer = socket.create_connection(("127.0.0.1", server.address.port), 10.0)
+        with peer, contextlib.suppress(OSError):  # it may close at any time
+            peer.sendall(data)
+            peer.shutdown(socket.SHUT_WR)
+            while peer.recv(65536):
+                pass
     assert names.query("/root") == server.contact
 
 
