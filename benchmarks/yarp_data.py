@@ -38,7 +38,7 @@ def image(kind: type[Image], width: int, height: int) -> Image:
     """An image with rows as YARP pads them."""
     made = kind()
     made.resize(width, height)
-    made.getRawImage()[:] = (bytes(range(256)) * (made.getRawImageSize() // 256 + 1))[: made.getRawImageSize()]
+    made.getRawImage()[:] = np.arange(made.getRawImageSize()) % 256
     return made
 
 

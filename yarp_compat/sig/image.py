@@ -34,6 +34,13 @@ _HEADER = struct.Struct("<13i")
 _MAT = int.from_bytes(b"mat\0", "little")
 
 
+class RawImage(np.ndarray[Any, np.dtype[np.uint8]]):
+    """An image's bytes, as a pointer to them where that is asked for."""
+
+    def __int__(self) -> int:
+        return int(self.ctypes.data)
+
+
 class Image(Portable):
     """A picture. Use the class of its pixels (:class:`ImageRgb`), or :class:`FlexImage` for any."""
 
@@ -109,9 +116,9 @@ class Image(Portable):
         """Bytes of padding at the end of a row."""
         return self._row - self._width * self.getPixelSize()
 
-    def getRawImage(self) -> memoryview:
-        """The rows' bytes, which are the image's memory."""
-        return self._memory
+    def getRawImage(self) -> RawImage:
+        """The rows' bytes, which are the image's memory; ``int`` of it is where they are."""
+        return np.ndarray(self._memory.nbytes, np.uint8, self._memory).view(RawImage)
 
     def getRawImageSize(self) -> int:
         """How many bytes the rows have."""

@@ -76,7 +76,7 @@ class PointCloud(Portable):
 
     def __init__(self, width: int = 0, height: int = 1) -> None:
         self._point = int(self.point)
-        self._height = height
+        self._height = height if width else 0
         self._points: NDArray[Any] = np.zeros(width * height, LAYOUTS[self._point])
         self.dense = True
 

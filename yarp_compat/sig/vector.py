@@ -37,7 +37,7 @@ class VectorOf(Portable):
         if isinstance(content, int):
             self._room: NDArray[Any] = np.full(content, fill, self.dtype)
         else:
-            given = content if isinstance(content, np.ndarray | list | tuple) else list(content)
+            given = content if hasattr(content, "__len__") else list(content)
             self._room = np.array(given, self.dtype).reshape(-1)
         self._count = len(self._room)
 

@@ -104,6 +104,22 @@ def test_the_official_idiom_reads_into_an_array() -> None:
     assert (array == 7).all()
 
 
+def test_the_official_idiom_copies_into_an_array() -> None:
+    """As `bindings/python/examples/yarpImage.py` does, its look at the pointer included."""
+    array = np.ones((480, 640, 3), dtype=np.uint8)
+    image = ImageRgb()
+    image.resize(640, 480)
+    image.setExternal(array, array.shape[1], array.shape[0])
+    sent = picture(PixelCode.RGB, 640, 480)
+    image.copy(sent)
+    assert array.__array_interface__["data"][0] == image.getRawImage().__int__()
+    assert np.array_equal(array, sent.numpy())
+    mono = ImageMono()
+    mono.resize(320, 240)
+    mono.setExternal(Vector(320 * 240), 320, 240)  # bindings/python/tests/test_image.py
+    assert ImageMono.from_bytes(mono.to_bytes()) == mono
+
+
 def test_an_array_is_sent_uncopied() -> None:
     array = np.arange(480 * 640 * 3, dtype=np.uint32).astype(np.uint8).reshape(480, 640, 3)
     image = ImageRgb()

@@ -89,6 +89,13 @@ def test_yarps_own_names() -> None:
         vector.pop_back()
     assert (vector.getElementSize(), vector.getBottleTag(), Vector.TYPE) == (8, 10, "yarp/vector")
     assert len(Vector(1000)) == 1000
+    copied = Vector(vector := Vector([1, 2]))
+    copied[0] = 5
+    assert (list(vector), list(Vector(Matrix(3, 3).eye().getRow(0))), list(Vector(range(3)))) == (
+        [1, 2],
+        [1, 0, 0],
+        [0, 1, 2],
+    )
 
 
 def test_pushing_many_is_not_slower_by_the_square() -> None:
