@@ -36,6 +36,7 @@ FOUND = [
     ("http", b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n-5\r\n<a>"),
     ("token", b"@ros2_lv/0/c/:/0/MS/%/%/t/9/d::msg::dds_::S_/*/::,:,:,0:,,"),
     ("mapping_rules", b"[" * 1000),
+    ("yarp_pages", b"GET /[weba/b?1&.\n\n"),
     ("ros1_bridge", b"- 5"),
     ("config", b"name: &a x\nlog: &a {level: debug}"),
     ("record", b'{"id":"","daemon":"","seq":7,"acks":{"":1e999},"crew":[],"process":"","role":null,"carries":[]}'),

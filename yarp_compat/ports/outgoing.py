@@ -33,16 +33,17 @@ class Outgoing:
         self._envelope = envelope
         self._key = key
         self._text = text
-        self._written: dict[tuple[str, Profile], list[Buffer]] = {}
+        self._written: list[tuple[Carrier | None, Profile, list[Buffer]]] = []
 
     def buffers(self, carrier: Carrier, profile: Profile) -> list[Buffer]:
         """All bytes of the message for an output."""
-        kind = carrier.name if carrier.text else ""
-        found = self._written.get((kind, profile))
-        if found is None:
-            payload = self._content(profile) if callable(self._content) else self._content
-            found = [self._line(payload, carrier)] if carrier.text else framed(payload, self._envelope, self._key)
-            self._written[kind, profile] = found
+        kind = carrier if carrier.text else None
+        for written_kind, written_profile, found in self._written:
+            if written_kind is kind and written_profile is profile:
+                return found
+        payload = self._content(profile) if callable(self._content) else self._content
+        found = [self._line(payload, carrier)] if carrier.text else framed(payload, self._envelope, self._key)
+        self._written.append((kind, profile, found))
         return found
 
     def _line(self, payload: Payload, carrier: Carrier) -> bytes:

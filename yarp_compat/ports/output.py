@@ -76,7 +76,9 @@ class Output:
         self._loop = loop
         self._lost = lost
         self._limit = limit
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
+        self._waiters = 0
         self._pending: deque[Item] = deque()
         self._pending_bytes = 0
         self._driven = False
@@ -103,7 +105,7 @@ class Output:
             The message, or None where the peer is gone.
         """
         item = Item(buffers, wait)
-        with self._changed:
+        with self._lock:
             if self.closed:
                 return None
             if self._driven:
@@ -115,7 +117,7 @@ class Output:
             if free or wait:
                 self._current = item
             else:
-                with self._changed:
+                with self._lock:
                     self._queue(item, strict)
             sent_all = free and self._send(item, self._sock)
         except OSError:
@@ -134,8 +136,8 @@ class Output:
             False where it was not by the deadline, or the peer is gone.
         """
         if item is not self._current or not item.ours:
-            with self._changed:
-                self._changed.wait_for(lambda: item.done or self.closed, _left(deadline))
+            with self._lock:
+                self._wait_for(lambda: item.done or self.closed, deadline)
             return item.done
         try:
             while not self._advance(item):
@@ -188,18 +190,32 @@ class Output:
                 came = sock.recv(_CHUNK)
             except (BlockingIOError, TimeoutError):
                 return False
+            if came == message.ACK and not self._came and not self.carrier.text:
+                self._due = False  # as nearly always
+                return True
             if not came:
                 raise ConnectionResetError(self._gone())
             self._came += came
+
+    def _wait_for(self, condition: Callable[[], bool], deadline: float | None) -> bool:
+        """Wait for a condition, with the lock held; whether it came true."""
+        self._waiters += 1
+        try:
+            return self._changed.wait_for(
+                condition, None if deadline is None else max(0.0, deadline - time.monotonic())
+            )
+        finally:
+            self._waiters -= 1
 
     def _settle(self, item: Item) -> None:
         """A message is done; go on with those that wait, or be free."""
         item.done = True
         self._current = None
-        with self._changed:
+        with self._lock:
             if not self._pending and not self.closed:
                 self._driven = False
-                self._changed.notify_all()
+                if self._waiters:
+                    self._changed.notify_all()
                 return
         if self.closed:
             self._dispose()
@@ -255,7 +271,7 @@ class Output:
                 return selectors.EVENT_WRITE
             if self._due:
                 continue
-            with self._changed:
+            with self._lock:
                 if item is not None:
                     item.done = True
                 self._current = self._pending.popleft() if self._pending else None
@@ -277,8 +293,8 @@ class Output:
         Returns:
             False where something still is by the deadline.
         """
-        with self._changed:
-            if not self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline)):
+        with self._lock:
+            if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
             if self.closed or not self._due:
                 return True
@@ -301,9 +317,9 @@ class Output:
             ConnectionError: the connection broke.
             WireError: the reply is no Bottle, or above the limit; the connection is closed.
         """
-        with self._changed:
+        with self._lock:
             if self._driven:
-                self._changed.wait_for(lambda: not self._driven or self.closed, _left(deadline))
+                self._wait_for(lambda: not self._driven or self.closed, deadline)
             if self.closed:
                 raise ConnectionResetError(self._gone())
             if self._driven:
@@ -362,7 +378,7 @@ class Output:
 
     def check(self) -> None:
         """Look whether the peer is still there; on the shared thread, as nothing is read from an idle connection."""
-        with self._changed:
+        with self._lock:
             if self._driven or self.closed:
                 return
             self._driven = True
@@ -381,7 +397,7 @@ class Output:
 
     def close(self) -> None:
         """Say goodbye where the connection is free, and close it."""
-        with self._changed:
+        with self._lock:
             if self.closed:
                 return
             self.closed = True
@@ -398,7 +414,8 @@ class Output:
 
     def abandon(self) -> None:
         """In a child process of fork: let go of the socket, and say nothing."""
-        self._changed = threading.Condition()  # another thread may have had it locked in the parent process
+        self._lock = threading.Lock()  # another thread may have had it locked in the parent process
+        self._changed = threading.Condition(self._lock)
         self.closed = True
         self._dispose()
 
@@ -413,7 +430,7 @@ class Output:
 
     def _dispose(self) -> None:
         """Close the socket; only its driver does that."""
-        with self._changed:
+        with self._lock:
             self.counters.dropped["lost"] += len(self._pending)
             self._pending.clear()
             self._pending_bytes = 0
@@ -423,7 +440,7 @@ class Output:
 
     def _fail(self) -> None:
         """The peer is gone."""
-        with self._changed:
+        with self._lock:
             told = self.closed
             self.closed = True
             if self._current is not None and not self._current.done:
@@ -431,10 +448,6 @@ class Output:
         self._dispose()
         if not told:
             self._lost(self)
-
-
-def _left(deadline: float | None) -> float | None:
-    return None if deadline is None else max(0.0, deadline - time.monotonic())
 
 
 def _ack_end(came: bytes, carrier: Carrier) -> int:

@@ -79,11 +79,9 @@ class PageInput(Input):
         told = decode(data)
         if json:
             return http.response(http.as_json(told, json), "text/json")
-        own = dict(zip(told[::2], told[1::2], strict=False)) if told[:1] == ["web"] else {}
-        if own:  # a page that the owner made himself
-            return http.response(
-                str(own["web"]).encode(errors="replace"), str(own.get("mime", "text/html")).partition("\n")[0]
-            )
+        if told[:1] == ["web"] and len(told) > 1:  # a page that the owner made himself
+            kind = told[3] if told[2:3] == ["mime"] and len(told) > 3 else "text/html"
+            return http.response(str(told[1]).encode(errors="replace"), str(kind))
         return self._page([str(v) for v in told[1:]] if told[:1] == ["many"] else [to_text(told)])
 
     def _page(self, lines: tuple[str, ...] | list[str]) -> bytes:

@@ -22,7 +22,8 @@ _WORD = Struct("<i").unpack_from
 _TWO = Struct("<ii").unpack_from
 
 _SIZES = {profile: tags.sizes(profile) for profile in Profile}
-_SAME_SIZES = {tag: size for tag, size in _SIZES[Profile.YARP3].items() if _SIZES[Profile.YARP4].get(tag) == size}
+_SIZES3, _SIZES4 = _SIZES[Profile.YARP3], _SIZES[Profile.YARP4]
+_SAME_SIZES = {tag: size for tag, size in _SIZES3.items() if _SIZES4.get(tag) == size}
 
 
 class ReplyReader:
@@ -90,7 +91,8 @@ def plain_end(data: Data, profile: Profile | None) -> int:
     if len(data) < 8:
         return 0
     tag, count = _TWO(data, 0)
-    size = (_SIZES[profile] if profile else _SAME_SIZES).get(tag - tags.LIST, 0)
+    sizes = _SAME_SIZES if profile is None else _SIZES3 if profile is Profile.YARP3 else _SIZES4
+    size = sizes.get(tag - tags.LIST, 0)
     return 8 + count * size if size and count >= 0 else 0
 
 

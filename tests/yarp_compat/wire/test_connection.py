@@ -1,0 +1,192 @@
+"""Introductions, messages, commands and datagrams against the bytes of real YARPs, and round trips."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from yarp_compat.wire import carriers, command, header, message
+from yarp_compat.wire.datagrams import LARGEST, Assembler, datagram, split
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.header import Opening
+
+OPENINGS = {
+    "tcp": "59 41 e4 1e 00 00 52 50", "fast_tcp": "59 41 64 1e 00 00 52 50", "udp": "59 41 61 1e 00 00 52 50",
+    "text": b"CONNECT ".hex(), "text_ack": b"CONNACK ".hex(), "local": b"LOCALITY".hex(),
+}  # fmt: skip
+NAMES = st.text(st.characters(min_codepoint=33, exclude_categories=["Cs"]), min_size=1, max_size=40).filter(
+    lambda n: " (" not in n
+)
+
+
+@pytest.mark.parametrize("name", OPENINGS)
+def test_openings(name: str) -> None:
+    carrier = carriers.CARRIERS[name]
+    assert carrier.opening == bytes.fromhex(OPENINGS[name])
+    said = header.opening(carrier, "/w")
+    assert said == carrier.opening + (b"/w\r\n" if carrier.text else b"\x03\0\0\0/w\0")
+    assert header.parse_opening(said + b"more") == Opening(carrier, "/w", "", len(said))
+    for end in range(len(said)):
+        assert header.parse_opening(said[:end]) is None
+
+
+def test_qualifiers() -> None:
+    """They travel behind the sender's name."""
+    carrier, qualifiers = carriers.parse("tcp+recv.portmonitor+type.dll")
+    said = header.opening(carrier, "/w", qualifiers)
+    assert said == b"YA\xe4\x1e\0\0RP" + b"\x21\0\0\0/w (recv portmonitor) (type dll)\0"
+    assert header.parse_opening(said) == Opening(carriers.TCP, "/w", "(recv portmonitor) (type dll)", len(said))
+
+
+@pytest.mark.parametrize(
+    ("said", "carrier"), [(b"GET / HTTP/1.1", "http"), (b"POST /form", "http"), (b"NAME_SERVER q", "name_ser")]
+)
+def test_openings_without_a_name(said: bytes, carrier: str) -> None:
+    opened = header.parse_opening(said)
+    assert opened is not None
+    assert (opened.carrier.name, opened.size) == (carrier, 0)
+
+
+@given(st.sampled_from(sorted(OPENINGS)), NAMES)
+def test_any_name(carrier: str, name: str) -> None:
+    said = header.opening(carriers.CARRIERS[carrier], name)
+    opened = header.parse_opening(said)
+    assert opened is not None
+    assert (opened.sender, opened.size) == (name, len(said))
+
+
+def test_answers() -> None:
+    def answer(name: str) -> bytes:
+        return header.answer(Opening(carriers.CARRIERS[name], "/w", "", 0), 10005)
+
+    assert answer("tcp") == answer("fast_tcp") == answer("udp") == bytes.fromhex("59 41 15 27 00 00 52 50")
+    assert answer("text") == answer("text_ack") == b"Welcome /w\r\n"
+    assert answer("local") == answer("http") == answer("name_ser") == b""
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("mcast", "not offered"),
+        ("shmem", "not offered"),
+        ("http", "not offered"),
+        ("name_ser", "not offered"),
+        ("x", "unknown"),
+    ],
+)
+def test_carriers_that_make_no_output(name: str, told: str) -> None:
+    with pytest.raises(WireError, match=f"{name}.*{told}.*use one of tcp, fast_tcp, udp"):
+        carriers.parse(name)
+
+
+@pytest.mark.parametrize(("number", "named"), [(1, "mcast"), (14, "shmem"), (5, "number 5"), (-7777, "number 0")])
+def test_openings_of_other_carriers(number: int, named: str) -> None:
+    with pytest.raises(WireError, match=named):
+        carriers.recognise(carriers.frame(7777 + number))
+
+
+def test_annotated_message() -> None:
+    """The fact sheet's example: ``hello 42 3.5`` of 4.0."""
+    payload = bytes.fromhex(
+        "00 01 00 00 03 00 00 00 04 00 00 00 05 00 00 00 68 65 6c 6c 6f 01 00 00 00 2a 00 00 00"
+        "14 00 00 00 00 00 00 00 00 00 0c 40"
+    )
+    head = bytes.fromhex(
+        "59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 29 00 00 00 00 00 00 00"
+        "00 00 00 00 7e 44 00 01"
+    )
+    assert message.prefix(len(payload)) == head
+    word, content = message.parse(head + payload)
+    assert (word.key, word.envelope, bytes(content)) == ("D", "", payload)
+    assert bytes.fromhex("59 41 00 00 00 00 52 50") == message.ACK
+    assert bytes.fromhex(
+        "59 41 0a 00 00 00 52 50 01 01 ff ff ff ff ff ff ff ff 0a 00 00 00 00 00 00 0002 00 00 00 7e 00 00 01 71 00"
+    ) == message.QUIT
+
+
+def test_annotated_envelope() -> None:
+    told = bytes.fromhex("18 00 00 00 7e 00 00 01") + b"D 3580 1795143618.02289\0"
+    assert command.with_envelope("D", "3580 1795143618.02289") == told
+    assert command.parse(told) == (command.PortCommand("D", "D 3580 1795143618.02289"), 32)
+
+
+@given(
+    st.binary(max_size=300),
+    st.sampled_from("dDa"),
+    st.text(st.characters(min_codepoint=32, exclude_categories=["Cs"]), max_size=40),
+)
+def test_messages(payload: bytes, key: str, envelope: str) -> None:
+    said = message.prefix(len(payload), key, envelope) + payload
+    word, content = message.parse(said)
+    assert (word.key, word.envelope, bytes(content)) == (key, envelope, payload)
+    with pytest.raises(WireError):
+        message.parse(said[:-1] if payload else said + b"x")
+
+
+@given(st.lists(st.binary(max_size=20), min_size=1, max_size=254))
+def test_blocks_belong_together(blocks: list[bytes]) -> None:
+    all_blocks = [command.binary("D"), *blocks]
+    head = message.INDEX + bytes([len(all_blocks), 1]) + b"\xff" * 8
+    said = head + struct.pack(f"<{len(all_blocks)}i", *map(len, all_blocks)) + bytes(4) + b"".join(all_blocks)
+    assert bytes(message.parse(said)[1]) == b"".join(blocks)
+
+
+@pytest.mark.parametrize("total", [65, 1 << 31])
+def test_announcements_above_the_limit(total: int) -> None:
+    head = message.INDEX + b"\3\1" + b"\xff" * 8 + struct.pack("<3I", total // 2, total - total // 2 - 1, 1)
+    with pytest.raises(WireError, match="announces"):
+        message.body_size(head, 0, 64)
+
+
+# -- datagrams ---------------------------------------------------------------------------------------------------------
+
+
+def test_recorded_datagram() -> None:
+    """Captured from mcast of 4.0; udp's are the same. And one that only ends a stream."""
+    recorded = bytes.fromhex(
+        "e5 18 af 9b 00 00 00 00 59 41 0a 00 00 00 52 50 02 01 ff ff ff ff ff ff ff ff 08 00 00 00 1b 00 00 00"
+        "00 00 00 00 00 00 00 00 7e 44 00 01 00 01 00 00 02 00 00 00 04 00 00 00 03 00 00 00 6d 73 67 01 00 00 00"
+        "05 00 00 00"
+    )
+    assembler = Assembler()
+    found = assembler.add(recorded)
+    assert found == recorded[8:]
+    assert list(split([found])) == [recorded]
+    assert assembler.add(bytes.fromhex("76 68 8a e3 ff ff ff ff 00 00 00 00 00 00 00 00 00 00")) is None
+    assert (assembler.spoiled, assembler.incomplete) == (0, 0)
+
+
+@pytest.mark.parametrize("size", [0, 1, LARGEST - 38, LARGEST - 37, 3 * LARGEST])
+def test_splitting(size: int) -> None:
+    payload = bytes(range(256)) * (size // 256) + bytes(size % 256)
+    whole = message.prefix(size) + payload
+    parts = list(split([message.prefix(size), payload[: size // 3], payload[size // 3 :]]))
+    assert all(len(p) <= 65507 for p in parts)
+    assert [struct.unpack_from("<Ii", p) for p in parts] == [(zlib.crc32(p[8:]), i) for i, p in enumerate(parts)]
+    assembler = Assembler()
+    assert [assembler.add(p) for p in parts][-1] == whole
+
+
+@given(st.lists(st.integers(0, 4), max_size=30))
+def test_lost_repeated_and_swapped(order: list[int]) -> None:
+    """Only messages whose datagrams came in order come out, and each of those whole."""
+    whole = message.prefix(200) + bytes(200)
+    parts = [datagram(whole[i * 50 : i * 50 + 50], i) for i in range(5)]
+    assembler = Assembler()
+    found = [assembler.add(parts[i]) for i in order]
+    in_order = sum(order[i : i + 5] == [0, 1, 2, 3, 4] for i in range(len(order)))
+    assert [f for f in found if f is not None] == [whole] * in_order
+
+
+def test_memory_of_datagrams_is_bounded() -> None:
+    assembler = Assembler(1000)
+    head = message.INDEX + b"\2\1" + b"\xff" * 8 + struct.pack("<3i", 8, 2000, 0)
+    with pytest.raises(WireError, match="announces"):
+        assembler.add(datagram(head, 0))
+    for number in range(1, 50):
+        assert assembler.add(datagram(bytes(60000), number)) is None
+    assert len(assembler._came) == 0
