@@ -1,0 +1,138 @@
+"""yarp_compat runs on any OS: here with all hidden that Windows does not have, in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.ports import free_port
+
+ROOT = Path(__file__).parents[2]
+
+HIDE = """
+import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
+import shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # Windows has its own of these
+
+for name in ("fcntl", "pwd", "grp", "resource", "termios", "tty", "pty", "syslog", "posix", "_posixsubprocess"):
+    sys.modules[name] = None
+for module, names in (
+    (os, "fork forkpty getuid geteuid getgid getpgid killpg setsid mkfifo uname register_at_fork wait nice pipe2 "
+         "fchmod sched_getaffinity getloadavg statvfs sysconf pread pwrite writev sendfile O_NONBLOCK O_CLOEXEC"),
+    (signal, "SIGHUP SIGKILL SIGUSR1 SIGUSR2 SIGPIPE SIGCHLD SIGQUIT SIGALRM pthread_sigmask sigwait alarm setitimer"),
+    (socket, "AF_UNIX SO_REUSEPORT MSG_DONTWAIT MSG_NOSIGNAL CMSG_LEN send_fds recv_fds TCP_QUICKACK"),
+    (select, "poll epoll"),
+    (time, "clock_gettime clock_settime"),
+):
+    for name in names.split():
+        if hasattr(module, name):
+            delattr(module, name)
+
+
+def missing(self):
+    raise AttributeError("Windows' sockets do not have it")
+
+
+class Socket(socket.socket):
+    sendmsg = recvmsg = recvmsg_into = property(missing)
+
+
+def socketpair(*_):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        one = socket.create_connection(server.getsockname())
+        return one, server.accept()[0]
+
+
+socket.socket, socket.socketpair = Socket, socketpair
+selectors.DefaultSelector = selectors.SelectSelector
+"""
+"""Run in a process before anything of ours is imported."""
+
+
+def run(code: str, *arguments: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", HIDE + code, *arguments],
+        cwd=ROOT, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_what_is_hidden_is_gone() -> None:
+    assert run("print(hasattr(os, 'fork'), hasattr(socket, 'AF_UNIX'), hasattr(socket.socket(), 'sendmsg'))") == (
+        "False False False\n"
+    )
+
+
+def test_every_module_is_imported() -> None:
+    modules = sorted(
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for file in (ROOT / "yarp_compat").rglob("*.py")
+        if file.name != "__main__.py"
+    )
+    assert len(modules) > 50
+    code = """
+import importlib, traceback
+failed = []
+for name in sys.argv[1:]:
+    try:
+        importlib.import_module(name)
+    except Exception:
+        failed.append(name)
+        traceback.print_exc()
+sys.exit(f"not imported: {failed}" if failed else 0)
+"""
+    run(code, *modules)
+
+
+TALK = """
+import yarp_compat as yarp
+from yarp_compat.naming.server import NameServer
+
+folder, number = sys.argv[1], int(sys.argv[2])
+os.environ["YARP_CONFIG_HOME"] = folder
+with NameServer(port=number), open(os.path.join(folder, "yarp.conf"), "w") as file:
+    file.write(f"127.0.0.1 {number} yarp\\n")
+    file.close()
+    yarp.Network.init()
+
+    class Answer(yarp.PortReader):
+        def read(self, connection):
+            asked = yarp.Bottle()
+            if not asked.read(connection):
+                return False
+            told = yarp.Bottle()
+            told.addString("told")
+            told.append(asked)
+            return told.write(connection.getWriter())
+
+    reader, server, client = Answer(), yarp.Port(), yarp.RpcClient()
+    server.setReader(reader)
+    assert server.open("/server") and client.open("/client")
+    assert yarp.Network.connect("/client", "/server")
+    asked, told = yarp.Bottle("ask 1 2.5"), yarp.Bottle()
+    assert client.write(asked, told)
+    print(told.toString())
+
+    source, sink = yarp.BufferedPortVector(), yarp.BufferedPortVector()
+    assert source.open("/out") and sink.open("/in")
+    for carrier in ("tcp", "fast_tcp", "udp"):
+        assert yarp.Network.connect("/out", "/in", carrier)
+        vector = source.prepare()
+        vector.resize(3)
+        vector[1] = 5.0
+        source.writeStrict()
+        print(carrier, sink.read(True).toString())
+        assert yarp.Network.disconnect("/out", "/in")
+    for port in (server, client, source, sink):
+        port.close()
+    yarp.Network.fini()
+"""
+
+
+def test_ports_and_the_name_server_talk(tmp_path: Path) -> None:
+    printed = run(TALK, str(tmp_path), str(free_port()))
+    said = [line for line in printed.splitlines() if not line.startswith("[")]
+    assert said[0] == "told ask 1 2.5"
+    assert [line.split()[0] for line in said[1:]] == ["tcp", "fast_tcp", "udp"]
+    assert all("5.0" in line for line in said[1:])
