@@ -24,7 +24,7 @@ class YarpBridge:
         self._folder = tempfile.TemporaryDirectory()
         edges = make_edges("yarp", config, registry, Path(self._folder.name))
         self.crossing = Crossing("yarp", edges["yarp"], config, registry, self._failed, diagnostics=False)
-        until(lambda: self.crossing.health().state == "running", "the YARP network is joined", 20)
+        until(lambda: self.crossing.health().state != "waiting", "the YARP network is joined", 20)
 
     def _failed(self, reason: str) -> None:
         raise AssertionError(reason)

@@ -88,6 +88,7 @@ class YarpEdge(Edge):
         self._outputs: dict[str, TopicOutput] = {}
         self._heard: dict[tuple[str, str], _Subscription] = {}
         self._listener: EdgeListener | None = None
+        self._told: tuple[object, ...] = ()
         self._away = True
         self._mark_until = 0.0
         self._wake = threading.Event()
@@ -128,7 +129,6 @@ class YarpEdge(Edge):
 
     def _turn(self) -> None:
         started = time.monotonic()
-        before = self._network.identity
         contacts = self._network.look()
         if contacts is None:
             self._away = True
@@ -144,10 +144,11 @@ class YarpEdge(Edge):
             self._ports.mark_again()
         else:
             self._ports.mark_again(found)
-        changed = self._graph.update(self._network.naming, contacts, self._ports.peers())
+        self._graph.update(self._network.naming, contacts, self._ports.peers())
         self._presence.look(self._graph.contacts, started)
         self._follow()
-        if (changed or before != self._network.identity) and self._listener is not None:
+        told, self._told = self._told, (self.network(), *self.endpoints())
+        if told != self._told and self._listener is not None:
             self._listener.graph_changed()
 
     def _follow(self) -> None:

@@ -77,14 +77,13 @@ class Graph:
         self.nodes: Sequence[NodePort] = ()
         self.trouble: Mapping[str, str] = {}
 
-    def update(self, naming: NameClient, contacts: Iterable[Contact], peers: Iterable[str]) -> bool:
-        """Take up a new list; ``peers``: ports that are connected to ours. Returns whether anything changed."""
+    def update(self, naming: NameClient, contacts: Iterable[Contact], peers: Iterable[str]) -> None:
+        """Take up a new list; ``peers``: ports that are connected to ours."""
         self.contacts = {contact.name: contact for contact in contacts}
         peers = frozenset(peers)
         self._strangers = peers - self.contacts.keys()
         self._known = {name: known for name, known in self._known.items() if self.contacts.get(name) == known.contact}
         self._revive()
-        before = self.nodes, self._makers(), frozenset(self._dead)
         nodes, trouble = [], dict[str, str]()
         for name in [*self.contacts, *peers]:
             nested = NestedName.parse(name) if "@" in name else None
@@ -95,10 +94,6 @@ class Graph:
             elif name in peers and name in self.contacts:
                 self._look_at(naming, name)
         self.nodes, self.trouble = nodes, trouble
-        return before != (self.nodes, self._makers(), frozenset(self._dead))
-
-    def _makers(self) -> dict[str, MadeBy]:
-        return {name: known.made_by for name, known in self._known.items()}
 
     def forget(self, name: str) -> None:
         """A port's connection ended: when it is there again, it may be another one."""

@@ -229,7 +229,7 @@ class OwnPorts:
         """Register and mark the ports that a name server forgot; None: mark all that there are."""
         for own in self._own.values():
             if contacts is None or own.core.name not in contacts:
-                own.core.register_again()
+                self._naming.restore(own.core.name)
                 self._naming.set_property(own.core.name, OWNER, self._owner)
 
     def bury(self, contacts: Mapping[str, Contact], names: PortNames) -> None:

@@ -1,0 +1,219 @@
+"""Ports and topics: rules, connections that come again, contents, loops, commands, late joiners."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from bridge.hub.qos import Qos
+from tests.adapters.yarp.conftest import Place
+from tests.support.wait import until
+from yarp_compat.naming import connections, talk
+from yarp_compat.wire.profile import Profile
+
+TWIST = "geometry_msgs/Twist"
+SHORT = ["linear.x", "linear.y", "angular.z"]
+
+
+def velocity(x: float) -> dict[str, Any]:
+    return {"linear": {"x": x, "y": 0.5, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.25}}
+
+
+def test_a_port_of_a_rule_is_a_topic_and_again_when_it_returns(place: Place) -> None:
+    rule = {"port": "/joystick:o", "topic": "/joy", "type": "geometry_msgs/msg/Twist", "direction": "in",
+            "fields": SHORT, "carrier": "fast_tcp"}  # fmt: skip
+    bridge = place.bridge(rule)
+    heard = place.far.subscribe("/joy", TWIST)
+    assert "/joystick:o" not in str(place.far.publishers("/joy"))
+    for count in (1, 2):
+        port = place.port("/joystick:o")
+        until(lambda p=port: p.core.outputs(), "the bridge connects it", 10)
+        assert port.core.outputs()[0].carrier == "fast_tcp"
+        until(lambda p=port, c=count: p.write([c, 0.5, 0.25]) or place.far.wait(heard, c, 0.2)[c - 1 :], "it crosses")
+        assert place.far.wait(heard, count)[-1] == velocity(float(count))
+        port.stop()
+        place.far.until_unpublished("/joy")
+    bridge.stop()
+
+
+def test_a_topic_goes_to_the_port_of_a_rule_and_again_when_it_returns(place: Place) -> None:
+    rule = {"port": "/base/control:i", "topic": "/cmd_vel", "direction": "out", "profile": "yarp4",
+            "fields": [3, "linear.x", "linear.y", "deg(angular.z)", 100.0]}  # fmt: skip
+    place.bridge(rule)
+    out = place.far.advertise("/cmd_vel", TWIST)
+    for _ in range(2):
+        port = place.port("/base/control:i", Profile.YARP4)
+        until(lambda p=port: p.core.inputs(), "the bridge connects to it", 10)
+        place.far.publish(out, velocity(1.0))
+        place.far.hub_publish_until(out, velocity(2.0), lambda p=port: p.bottles(1, 0.2))
+        assert port.bottles()[-1][:3] in ([3, 1.0, 0.5], [3, 2.0, 0.5])
+        assert port.bottles()[-1][3:] == [pytest.approx(14.3239449), 100.0]
+        port.stop()
+
+
+def test_one_topic_in_two_contents_and_two_profiles(place: Place) -> None:
+    """The topic's own port has the converter's layout, the rule's port the fields, in its own profile."""
+    place.bridge({"port": "/short", "topic": "/cmd_vel", "direction": "out", "fields": SHORT, "profile": "yarp4"})
+    short, long = place.port("/short", Profile.YARP4), place.port("/long")
+    out = place.far.advertise("/cmd_vel", TWIST)
+    long.listen_to("/midspan/cmd_vel:o")
+    until(lambda: short.core.inputs(), "the rule's connection is there")
+    place.far.hub_publish_until(out, velocity(1.0), lambda: short.messages(1, 0.1) and long.messages(1, 0.1))
+    assert short.bottles()[0] == [1.0, 0.5, 0.25]
+    assert long.bottles()[0] == [[1.0, 0.5, 0.0], [0.0, 0.0, 0.25]]
+
+
+def test_whoever_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
+    place.bridge()
+    out = place.far.advertise("/chat", "std_msgs/String")
+    heard = place.far.subscribe("/chat", "std_msgs/String")
+    writer = place.port("/talker")
+    writer.write_to("/midspan/chat:i")
+    until(lambda: writer.write(["hello"]) or {"data": "hello"} in place.far.wait(heard, 1, 0.2), "it crosses", 10)
+    assert place.far.explain("/chat")
+    writer.stop()
+    place.far.drop(out)
+
+
+def test_the_first_message_of_a_new_writer_is_not_lost(place: Place) -> None:
+    """Who ``yarp write``s one line and leaves is heard too."""
+    place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
+    heard = place.far.subscribe("/once", "std_msgs/String")
+    place.far.until_published("/once")
+    writer = place.port("/quick")
+    writer.write_to("/midspan/once:i")
+    writer.write(["only"])
+    assert place.far.wait(heard, 1, 5) == [{"data": "only"}]
+
+
+def test_a_line_of_text_drives(place: Place) -> None:
+    """A text carrier is a socket and two lines."""
+    place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
+    heard = place.far.subscribe("/cmd_vel", TWIST)
+    place.far.until_published("/cmd_vel")
+    contact = until(lambda: place.names.client.query("/midspan/cmd_vel:i"), "the input port")
+    until(lambda: connections.responds(contact), "it listens")
+    until(
+        lambda: talk.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(heard, 1, 0.3),
+        "it drives",
+    )
+    assert place.far.wait(heard, 1)[0] == velocity(1.5)
+
+
+def test_what_is_no_message_is_counted_with_its_reason(place: Place) -> None:
+    place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
+    heard = place.far.subscribe("/cmd_vel", TWIST)
+    place.far.until_published("/cmd_vel")
+    writer = place.port("/writer")
+    writer.write_to("/midspan/cmd_vel:i")
+    until(lambda: writer.write([1, 0.5, 0.25]) or place.far.wait(heard, 1, 0.2), "a good one crosses")
+    for bad in ([1.0, 2.0], [1.0, "fast", 2.0], ["", [], {}], b"\xff" * 40):
+        writer.write(bad)
+    route = until(
+        lambda: (r := place.far.route("/cmd_vel", "in")) and r["drops"].get("bad") == 4 and r,
+        "four refused",
+        10,
+        every=0.1,
+    )
+    assert "no Bottle" in route["error"]
+    assert "/writer" in route["error"]
+    writer.write([9, 0.5, 0.25])
+    until(lambda: velocity(9.0) in place.far.wait(heard, 2, 0.2), "the next good one crosses")
+
+
+def test_our_own_output_is_never_taken_up_again(place: Place) -> None:
+    place.bridge()
+    out = place.far.advertise("/loop", "std_msgs/String")
+    heard = place.far.subscribe("/loop", "std_msgs/String")
+    reader = place.port("/reader")
+    reader.listen_to("/midspan/loop:o")
+    until(lambda: place.names.client.query("/midspan/loop:i"), "the input port")
+    until(lambda: _connect(place, "/midspan/loop:o", "/midspan/loop:i"), "they are connected")
+    for number in range(5):
+        place.far.publish(out, {"data": str(number)})
+    until(lambda: ["4"] in reader.bottles(5, 0.2), "all are heard on YARP")
+    assert len(place.far.wait(heard, 6, 0.5)) <= 5  # what the far end hears of itself
+
+
+def _connect(place: Place, source: str, target: str) -> bool:
+    try:
+        connections.connect(place.names.client, source, target)
+    except OSError:
+        return False
+    return True
+
+
+def test_late_joiners_get_what_is_kept(place: Place) -> None:
+    place.bridge()
+    out = place.far.advertise("/map_name", "std_msgs/String", latched=True, depth=1)
+    place.far.publish(out, {"data": "kitchen"})
+    for name in ("/late1", "/late2"):
+        reader = place.port(name)
+        reader.listen_to("/midspan/map_name:o")
+        assert reader.bottles(1, 5) == [["kitchen"]]
+    place.far.drop(out)
+
+
+def test_a_latched_port_of_a_rule_is_kept_on_the_hub(place: Place) -> None:
+    place.bridge({"topic": "/mode", "type": "std_msgs/msg/String", "latched": True})
+    writer = place.port("/writer")
+    place.far.until_published("/mode")
+    writer.write_to("/midspan/mode:i")
+    writer.write(["manual"])
+
+    def late() -> list[dict[str, Any]]:
+        heard = place.far.subscribe("/mode", "std_msgs/String", latched=True)
+        got = place.far.wait(heard, 1, 0.3)
+        place.far.drop(heard)
+        return got
+
+    assert until(late, "it is kept") == [{"data": "manual"}]
+
+
+def test_commands_are_neither_kept_nor_delivered_late(place: Place) -> None:
+    place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"})
+    out = place.far.advertise("/cmd_vel", TWIST, latched=True, depth=1)
+    early = place.port("/early")
+    early.listen_to("/midspan/cmd_vel:o")
+    place.far.hub_publish_until(out, velocity(1.0), lambda: early.messages(1, 0.2))
+    late = place.port("/late")
+    late.listen_to("/midspan/cmd_vel:o")
+    assert late.messages(1, 1.0) == []
+    heard = place.far.subscribe("/cmd_vel", TWIST)
+    writer = place.port("/writer")
+    writer.write_to("/midspan/cmd_vel:i")
+    now = time.time()
+    until(
+        lambda: writer.write([[1, 0, 0], [0, 0, 0]], f"1 {time.time()}") or place.far.wait(heard, 1, 0.2), "it crosses"
+    )
+    writer.write([[7, 0, 0], [0, 0, 0]], f"2 {now - 5}")
+    until(lambda: (place.far.route("/cmd_vel", "in") or {"drops": {}})["drops"].get("stale"), "it is stale", every=0.1)
+    assert all(m["linear"]["x"] != 7.0 for m in place.far.wait(heard, 2, 0.2))
+
+
+def test_a_reader_that_stands_still_delays_nobody(place: Place) -> None:
+    place.bridge()
+    out = place.far.advertise("/stream", "std_msgs/String")
+    stuck, quick = place.port("/stuck"), place.port("/quick")
+    release = []
+    stuck.core.on_message = lambda _: until(lambda: release, "the end", 60)
+    stuck.listen_to("/midspan/stream:o")
+    quick.listen_to("/midspan/stream:o")
+    place.far.hub_publish_until(out, {"data": "probe"}, lambda: quick.messages(1, 0.2))
+    for number in range(100):
+        place.far.publish(out, {"data": str(number)})
+    until(lambda: ["99"] in quick.bottles(100, 0.2), "the quick one heard the last", 10)
+    release.append(True)
+
+
+def test_a_type_that_yarp_cannot_say_is_explained(place: Place) -> None:
+    place.bridge({"topic": "/wide", "fields": ["nothing"]})
+    out = place.far.hub.publisher(
+        "/wide", "std_msgs/msg/String", place.far.registry.ros2("std_msgs/msg/String").type_id, Qos()
+    )
+    line = until(lambda: [x for x in place.far.explain("/wide") if x["decision"] == "refused"], "a refusal", every=0.1)
+    assert "has no field 'nothing'" in line[0]["why"]
+    assert line[0]["cure"]
+    out.close()
