@@ -41,7 +41,7 @@ class Allocator:
             taken: numbers that ports chose for themselves.
         """
         number = self._number.get(name)
-        if number is None or number in self._used or number in taken:
+        if number is None or number in taken:
             number = self._fresh(taken)
         if number is None:
             return None

@@ -22,6 +22,14 @@ def test_numbers_that_ports_chose_are_left_out() -> None:
     assert allocator.number("/a", taken={10002, 10003}) == 10004
 
 
+def test_nobody_gives_back_what_is_not_his() -> None:
+    """A port that chose a number which another one has, and ends."""
+    allocator = Allocator(10000)
+    allocator.number("/a")
+    allocator.free("/b", "127.0.0.1", 10002)
+    assert allocator.state()["used"] == [10002]
+
+
 def test_freed_numbers_are_given_again_only_when_all_are_gone() -> None:
     """9,998 numbers, then the freed ones; then none."""
     allocator = Allocator(10000)

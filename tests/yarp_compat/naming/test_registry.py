@@ -126,6 +126,15 @@ def test_what_a_port_owns_goes_with_it(ask: Asked) -> None:
     assert [(str(e[0]), e[1]) for e in ask.events] == [("add", "/w"), ("del", "/w")]
 
 
+def test_ports_that_own_each_other_in_a_long_row(ask: Asked) -> None:
+    """Somebody's joke, not a reason to fail."""
+    for number in range(3000):
+        ask(f"register /p{number} tcp h 1")
+        ask(f"set /p{number} owns /p{number + 1}")
+    assert ask("unregister /p0") == [END]
+    assert ask("query /p0") == [END]
+
+
 def test_the_same_registration_again_changes_nothing(ask: Asked) -> None:
     """Ports that come back to a restarted name server keep their properties, and nobody is told of a change."""
     ask("register /p tcp 127.0.0.1 10002")

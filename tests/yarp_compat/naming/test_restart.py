@@ -26,6 +26,7 @@ from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Contact
 from yarp_compat.wire.profile import Profile
 
 
@@ -177,8 +178,30 @@ def test_a_closed_port_is_not_registered_again(server: NameServer) -> None:
     assert server.registry.find("/p") is None
 
 
+class Forgetful:
+    """A name server that knows nothing."""
+
+    def __init__(self) -> None:
+        self.restored: list[str] = []
+
+    def query(self, name: str) -> None:
+        """It is not known."""
+
+    def restore(self, name: str) -> None:
+        """Note it."""
+        self.restored.append(name)
+
+
+def test_where_one_is_missing_all_are_asked_for() -> None:
+    """Not only those few whose turn it is."""
+    names = Forgetful()
+    contacts = [Contact(f"/p{i}", "127.0.0.1", 10002 + i) for i in range(30)]
+    keeper.Keeper()._look(names, contacts)
+    assert sorted(names.restored) == sorted(c.name for c in contacts)
+
+
 def test_many_ports(server: NameServer) -> None:
-    """Where one is missing, all are asked for."""
+    """Some are lost, and come back; all that are closed stay away."""
     names = NameClient(server.address)
     ports = [PortCore(f"/p{i}", naming=names) for i in range(12)]
     for port in ports:
@@ -187,6 +210,8 @@ def test_many_ports(server: NameServer) -> None:
     for port in ports[::2]:
         others.unregister(port.name)
     until(where(others, *ports), "all are registered")
+    for port in ports[::2]:
+        others.unregister(port.name)
     for port in ports:
         port.close()
     assert others.list() == [server.contact]

@@ -46,6 +46,20 @@ def test_wanted_at_once_between_ports_that_are_there(ask: Asked) -> None:
     assert ask.wishes == [Wish("/a", "/b")]
 
 
+def test_not_wanted_before_both_listen(ask: Asked) -> None:
+    """A port is registered before it listens; one that was closed has to say again that it does."""
+    ask("subscribe /a /b")
+    ask("register /b")
+    assert there(ask, "/a") == []
+    ask("announce /b")
+    assert ask.wishes == [Wish("/a", "/b", anew=True)]
+    ask("unregister /b")
+    ask("register /b")
+    assert there(ask, "/a") == []
+    ask("announce /nobody")
+    assert ask.wishes == []
+
+
 def test_listing(ask: Asked) -> None:
     """As yarpserver lists them: all, those of a port, with mode and topic."""
     assert ask("subscribe") == ["subscriptions"]
