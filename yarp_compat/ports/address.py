@@ -13,9 +13,8 @@ def bound(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> so
     Args:
         host: the address.
         number: the TCP port number, or 0.
-        host_fixed: nobody but this address will do; otherwise, where it is no address of this machine (which is known
-            under another
-            machine's, that translates), all of this machine's addresses.
+        host_fixed: nobody but this address will do; otherwise, where it is no address of this machine (whose ports are
+            known under another's, which translates), all of this machine's addresses.
         number_fixed: nothing but this number will do; otherwise another one where it is taken.
 
     Raises:

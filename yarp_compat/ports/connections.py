@@ -16,6 +16,8 @@ _log = logging.getLogger("yarp.ports")
 
 MOST_INPUTS = 1000
 """Input connections of one port. When there are more, the oldest that never sent a message goes, else the new one."""
+MOST_OUTPUTS = 1000
+"""Output connections of one port; no more are made."""
 
 OnEvent = Callable[[ConnectionEvent], None]
 AnyOutput = Output | DatagramOutput
@@ -74,9 +76,9 @@ class Connections:
         self._tell(connection.route, incoming=True, up=False)
 
     def add_output(self, output: AnyOutput) -> bool:
-        """Take an output; False where the port is closed."""
+        """Take an output; False where the port is closed, or has too many."""
         with self._lock:
-            if self._closed:
+            if self._closed or len(self.outputs) >= MOST_OUTPUTS:
                 return False
             self.outputs = [*self.outputs, output]
         self._tell(output.route, incoming=False, up=True)

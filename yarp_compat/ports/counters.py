@@ -12,7 +12,8 @@ class Counters:
 
     The reasons: ``replaced`` (a newer message took its place), ``full`` (the oldest of a strict queue that was full),
     ``lost`` (the connection ended first), ``interrupted`` (the port was), ``malformed`` (above the limit too),
-    ``no reader``, ``failed`` (the port's owner raised an error), and for datagrams ``checksum`` and ``incomplete``.
+    ``no reader``, ``failed`` (the port's owner raised an error), ``no text`` (no Bottle, for a reader of text), and for
+    datagrams ``checksum`` and ``incomplete``.
     """
 
     received: int = 0

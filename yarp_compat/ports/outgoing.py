@@ -30,7 +30,7 @@ class Outgoing:
 
     def __init__(self, content: Content, envelope: str, key: str, text: Callable[[], str] | None = None) -> None:
         self._content = content
-        self._envelope = envelope
+        self._envelope = envelope if envelope.isprintable() else _one_line(envelope)
         self._key = key
         self._text = text
         self._written: list[tuple[Carrier | None, Profile, list[Buffer]]] = []
@@ -52,6 +52,11 @@ class Outgoing:
             return b"%x\r\n%b\r\n" % (len(content), content)  # a chunk of the page
         word = f"{self._key} {self._envelope}" if self._envelope else self._key
         return word.encode() + b"\r\n" + content
+
+
+def _one_line(envelope: str) -> str:
+    """An envelope up to its first control character, as YARP sends it."""
+    return next((envelope[:i] for i, c in enumerate(envelope) if ord(c) < 32), envelope)
 
 
 def framed(payload: Payload, envelope: str, key: str) -> list[Buffer]:

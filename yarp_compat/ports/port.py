@@ -56,8 +56,7 @@ class PortCore:
     Args:
         name: the port's name; "" or "..." lets the name server choose one.
         on_message: takes each message; on the thread of its connection, which goes on with the next one afterwards.
-            None:
-            messages are dropped, and those that want a reply get an empty one.
+            None: messages are dropped, and those that want a reply get an empty one.
         naming: the name server.
         rpc: an RPC client or server: it has one output at most.
         type_name: the type of what it writes or reads, as it announces it.
@@ -185,29 +184,25 @@ class PortCore:
     # -- writing ------------------------------------------------------------------------------------------------------
 
     def write(
-        self, payload: Content, envelope: str = "", *, strict: bool = False, wait: bool = False, timeout: float | None
-        = None,
-        text: Callable[[], str] | None = None, chosen: Callable[[AnyOutput], bool] | None = None,
+        self, payload: Content, envelope: str = "", *, strict: bool = False, wait: bool = False,
+        timeout: float | None = None, text: Callable[[], str] | None = None,
+        chosen: Callable[[AnyOutput], bool] | None = None,
     ) -> int:  # fmt: skip
         """Send a message to all outputs.
 
         Args:
             payload: its bytes, in one or several buffers; or what makes them in the dialect of each output.
             envelope: sent with it.
-            strict: where an earlier message is still on its way to a peer, queue this one behind it (else it takes
-                the place
-                of what waits).
-            wait: return when all peers took it (and acknowledged it, where the carrier does that). Without it, never
-                waits.
+            strict: where an earlier message is still on its way to a peer, queue this one behind it, the oldest of the
+                queue go where it is full; else this one takes the place of what waits.
+            wait: return when all peers took it, and acknowledged it where the carrier does that; without it, never
+                wait.
             timeout: seconds to wait at most.
             text: makes the line for text carriers; by default the payload's own text.
             chosen: which of the outputs get it; by default all.
 
         Returns:
-            how many outputs took it.
-
-        Raises:
-            WireError: there are text carriers, and the payload is no Bottle.
+            how many outputs took it. A text carrier takes Bottles only.
         """
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
@@ -216,11 +211,17 @@ class PortCore:
         if not outputs:
             return 0
         made = Outgoing(payload, envelope, "D", text)
-        written = [(output, made.buffers(output.carrier, output.profile or self.profile)) for output in outputs]
         self.counters.sent += 1
-        begun: list[tuple[AnyOutput, Item | None]] = [
-            (output, output.begin(buffers, strict=strict or wait, wait=wait)) for output, buffers in written
-        ]
+        begun: list[tuple[AnyOutput, Item | None]] = []
+        for output in outputs:
+            try:
+                buffers = made.buffers(output.carrier, output.profile or self.profile)
+            except WireError:
+                if not output.carrier.text:
+                    raise
+                self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
+                continue
+            begun.append((output, output.begin(buffers, strict=strict or wait, wait=wait)))
         if not wait:
             return sum(item is not None for _, item in begun)
         deadline = None if timeout is None else time.monotonic() + timeout
@@ -332,6 +333,8 @@ class PortCore:
             output = Output(sock, route, carrier, shared, self.connections.remove_output, self.limit)
         if not self.connections.add_output(output):
             output.close()
+            msg = f"port {self.name} is closed, or has too many outputs"
+            raise ConnectionAbortedError(msg)
 
     def remove_output(self, name: str) -> tuple[bool, str]:
         """End the output connection to a port; whether there was one, and YARP's words."""

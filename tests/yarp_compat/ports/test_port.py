@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 from typing import Any
 
@@ -9,13 +12,13 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.ports import connections
 from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.contact import Route
-from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
 HELLO = encode(["hello", 42, 3.5], Profile.YARP3)
@@ -360,9 +363,79 @@ def test_text_only_when_it_is_needed(make_port: MakePort) -> None:
     writer.add_output("text_ack://r")
     writer.write(HELLO, wait=True, timeout=10, text=lambda: "made 1")
     assert reader.got == [(["hello", 42, 3.5], ""), (["made", 1], "")]
-    with pytest.raises(WireError):
-        writer.write(b"no Bottle", wait=True, timeout=10)
-    assert writer.write(HELLO, wait=True, timeout=10) == 1, "and the connection is as it was"
+
+
+def test_who_reads_text_harms_nobody(make_port: MakePort) -> None:
+    """What is no Bottle cannot be told him, and reaches the others."""
+    got: list[bytes] = []
+    text = Reader()
+    make_port("/text", text)
+    make_port("/binary", lambda m: got.append(bytes(m.payload)))
+    writer = make_port("/w")
+    writer.add_output("text_ack://text")
+    writer.add_output("tcp://binary")
+    assert writer.write(b"no Bottle", wait=True, timeout=10) == 1
+    assert writer.write(HELLO, wait=True, timeout=10) == 2
+    assert got == [b"no Bottle", HELLO]
+    assert len(text.got) == 1
+    assert writer.counters.dropped == {"no text": 1}
+
+
+@pytest.mark.parametrize("carrier", ["tcp", "text_ack"])
+def test_envelopes_are_one_line(make_port: MakePort, carrier: str) -> None:
+    reader = Reader()
+    make_port("/r", reader)
+    writer = make_port("/w")
+    writer.add_output(f"{carrier}://r")
+    writer.write(HELLO, "1 2.5\r\nq\r\n", wait=True, timeout=10)
+    assert reader.got == [(["hello", 42, 3.5], "1 2.5")]
+
+
+def test_outputs_are_bounded(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_OUTPUTS", 2)
+    writer = make_port("/w")
+    done = [writer.add_output(make_port(f"/r{i}").name)[0] for i in range(3)]
+    assert done == [True, True, False]
+
+
+FORK = """
+import os, sys
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.binary import encode
+from yarp_compat.wire.profile import Profile
+naming, hello = LocalNaming(), encode(["hello"], Profile.YARP3)
+def pair(name):
+    reader = PortCore(f"/{name}/r", on_message=lambda m: m.reply(m.payload), naming=naming)
+    writer = PortCore(f"/{name}/w", naming=naming)
+    reader.open(), writer.open()
+    assert writer.add_output(f"/{name}/r")[0]
+    assert writer.request(hello, timeout=10) == hello
+    return reader, writer
+reader, writer = pair("parent")
+descriptors = len(os.listdir("/proc/self/fd"))
+child = os.fork()
+if not child:
+    assert not reader.is_open and not writer.outputs()
+    assert len(os.listdir("/proc/self/fd")) < descriptors, "it let go of them"
+    for port in pair("child"):
+        port.close()
+    reader.close()
+    os._exit(7)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+assert writer.request(hello, timeout=10) == hello, "the parent's connections are as they were"
+reader.close(), writer.close()
+print("well")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_process_that_forks() -> None:
+    """The child has no part in the parent's ports, and may open its own."""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORK], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stdout == "well\n", done.stderr
 
 
 def test_asked_number_and_name(naming: LocalNaming) -> None:
