@@ -29,11 +29,11 @@ LITTER = "litter"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; returns 1 where something did not come back, or came back wrong."""
+    """Run the benchmark; returns 1 where something did not come back, or came back wrong, or was left behind."""
     args = _parser().parse_args(arguments)
     chosen = [loss for loss in LOSSES if args.cases is None or loss.key in args.cases]
     outcomes: dict[str, list[Outcome]] = defaultdict(list)
-    rows: list[Row] = []
+    left: list[Row] = []
     with Field() as field:
         for number in range(args.times if chosen else 0):
             for loss in chosen:
@@ -43,14 +43,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 took = time.monotonic() - began
                 print(f"{number + 1}/{args.times} {loss.key:<17} {outcome} (took {took:.0f} s)", flush=True)
         if args.cases is None or LITTER in args.cases:
-            rows += litter(field, args.kills)
+            left = litter(field, args.kills)
     print()
     for loss in chosen:
         print(_summary(loss, outcomes[loss.key]))
-    rows = [row for loss in chosen for row in _rows(loss, outcomes[loss.key])] + rows
+    rows = [row for loss in chosen for row in _rows(loss, outcomes[loss.key])] + left
     print()
     report(rows, args.json)
-    return int(any(not o.good for os in outcomes.values() for o in os))
+    wrong = any(not o.good for os in outcomes.values() for o in os)
+    return int(wrong or any(row.ours > row.peer for row in left if row.unit == "files"))
 
 
 def _summary(loss: Loss, outcomes: Sequence[Outcome]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 
 from benchmarks.losses.field import ANCHORS, WORKERS, Field
 from benchmarks.losses.outcome import Watch
@@ -11,30 +12,6 @@ from benchmarks.rows import Row
 SETTLE = 6.0
 """Seconds that a worker lives before it is killed: Fast DDS files that are younger may be in the making, and are
 left to the next start."""
-
-
-def litter(field: Field, kills: int) -> list[Row]:
-    """Kill the workers, and then the whole daemon, again and again while megabytes cross, and count what stays."""
-    for name in ANCHORS:
-        field.command(name, "large", "enlarged", on=True)
-    rows = []
-    for what, kill in (("the workers", _kill_workers), ("the daemon and its workers", _kill_all)):
-        counts = []
-        for number in range(kills):
-            _steady(field)
-            time.sleep(SETTLE)
-            field.shared_memory()
-            kill(field)
-            _steady(field)
-            counts.append(field.shared_memory())
-            files, size = counts[-1]
-            print(f"{what} killed {number + 1}/{kills}: {files} files, {size / 1e6:.1f} MB", flush=True)
-        first, last = counts[0], counts[-1]
-        rows.append(Row(f"files in shared memory after {kills} kills of {what}", last[0], first[0], "files"))
-        rows.append(Row(f"shared memory after {kills} kills of {what}", last[1] / 1e6, first[1] / 1e6, "MB"))
-    for name in ANCHORS:
-        field.command(name, "large", "enlarged", on=False)
-    return rows
 
 
 def _steady(field: Field) -> None:
@@ -61,3 +38,33 @@ def _kill_all(field: Field) -> None:
         field.worker(name).kill()
     field.kill_daemon()
     field.start_daemon()
+
+
+WAYS: dict[str, Callable[[Field], None]] = {"the workers": _kill_workers, "the daemon and its workers": _kill_all}
+
+
+def litter(field: Field, kills: int, ways: Sequence[str] = tuple(WAYS)) -> list[Row]:
+    """Kill the workers, and then the whole daemon, again and again while megabytes cross, and count what stays.
+
+    The rows' peers are what stays after the first kill.
+    """
+    for name in ANCHORS:
+        field.command(name, "large", "enlarged", on=True)
+    rows = []
+    for what in ways:
+        counts = []
+        for number in range(kills):
+            _steady(field)
+            time.sleep(SETTLE)
+            field.shared_memory()
+            WAYS[what](field)
+            _steady(field)
+            counts.append(field.shared_memory())
+            files, size = counts[-1]
+            print(f"{what} killed {number + 1}/{kills}: {files} files, {size / 1e6:.1f} MB", flush=True)
+        first, last = counts[0], counts[-1]
+        rows.append(Row(f"files in shared memory after {kills} kills of {what}", last[0], first[0], "files"))
+        rows.append(Row(f"shared memory after {kills} kills of {what}", last[1] / 1e6, first[1] / 1e6, "MB"))
+    for name in ANCHORS:
+        field.command(name, "large", "enlarged", on=False)
+    return rows

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.losses import cases
 from benchmarks.losses.field import WORKERS, Field
+from benchmarks.losses.litter import litter
 from benchmarks.losses.outcome import Outcome
 
 pytestmark = pytest.mark.alone
@@ -40,6 +41,11 @@ LOSSES: dict[str, Callable[[Field], Outcome]] = {
 def test_everything_comes_back(field: Field, loss: str) -> None:
     outcome = LOSSES[loss](field)
     assert outcome.good, f"{outcome}\n{field.words()}"
+
+
+def test_workers_that_are_killed_again_and_again_leave_no_more_than_once(field: Field) -> None:
+    files, _ = litter(field, kills=2, ways=["the workers"])
+    assert files.ours <= files.peer, f"{files}\n{field.words()}"
 
 
 def test_the_successor_of_a_killed_daemon_is_active_within_three_seconds(field: Field) -> None:

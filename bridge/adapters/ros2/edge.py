@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -85,6 +85,7 @@ class Ros2Edge(Edge):
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
         )
         self._greet(self._origins.predecessors)
+        self._clean_ports(self._origins.past)
         graph.start()
         string = self._types.message_class(TYPE, self._registry.ros2(TYPE).type_id)
         self._presence = Presence(
@@ -102,6 +103,12 @@ class Ros2Edge(Edge):
         call = [spdp.hello(caller, number, participant_number(self._prefix)), spdp.farewell(caller)]
         localhost_only = self._config.ros2.localhost_only and self._config.ros2.profile is None
         spdp.say([*map(spdp.farewell, dead), *call], number, localhost_only=localhost_only)
+
+    def _clean_ports(self, past: Iterable[bytes]) -> None:
+        """Remove what our dead predecessors left in shared memory; not what has our own number, or another's."""
+        numbers = {participant_number(prefix) for prefix in past} - {participant_number(self._prefix)}
+        of_domain = domain(self._config, os.environ)
+        shm.clean_ports(port for number in numbers for port in spdp.unicast_ports(of_domain, number))
 
     def _changed(self, snapshot: Snapshot) -> None:
         if self._neighbours is not None:

@@ -10,6 +10,7 @@ import contextlib
 import os
 import re
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 from bridge.hub.pools import FOLDER, YOUNG_SECONDS, is_locked
@@ -44,8 +45,8 @@ def other_users(folder: Path = FOLDER) -> bool:
 def clean(folder: Path = FOLDER) -> int:
     """Remove the segments of dead participants, and only those; how many.
 
-    Ports stay: Fast DDS itself replaces a dead one when its number comes up again, and would meet us at it. A segment's
-    name is never used again.
+    Ports stay: Fast DDS itself replaces a dead one when its number comes up again, and would meet us at it; but for
+    those of our own dead, see `clean_ports`. A segment's name is never used again.
     """
     removed = 0
     for lock in _locks(folder):
@@ -57,6 +58,25 @@ def clean(folder: Path = FOLDER) -> int:
                 lock.unlink(missing_ok=True)
                 removed += 1
     return removed
+
+
+def clean_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
+    """Remove ports of our own dead participants, which no other one takes up; but for those that are still in use.
+
+    Others have a dead participant's ports open until they learn of its death.
+    """
+    import fcntl
+
+    for number in numbers:
+        port = f"fastrtps_port{number}"
+        with contextlib.suppress(OSError):  # there is none, or it is in use
+            descriptor = os.open(folder / f"{port}_el", os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                for name in (port, f"sem.{port}_mutex", f"{port}_el"):
+                    (folder / name).unlink(missing_ok=True)
+            finally:
+                os.close(descriptor)
 
 
 def _locks(folder: Path) -> list[Path]:

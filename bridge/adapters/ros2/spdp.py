@@ -108,6 +108,12 @@ def _unicast_port(domain: int, number: int) -> int:
     return _multicast_port(domain) + 10 + 2 * number
 
 
+def unicast_ports(domain: int, number: int) -> tuple[int, int]:
+    """A participant's well-known ports of its own, for discovery and for data (DDSI-RTPS 2.5, 9.6.2.3)."""
+    port = _unicast_port(domain, number)
+    return port, port + 1
+
+
 def _interfaces(*, localhost_only: bool) -> Iterator[int]:
     """Indices of network interfaces."""
     for index, name in socket.if_nameindex():

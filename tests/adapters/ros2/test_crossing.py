@@ -227,7 +227,7 @@ def test_a_successor_hears_at_once_and_not_at_the_next_announcement(programs: Pr
     for _ in range(5):
         edge = programs.edge(transport=transport)
         heard = edge.ask("subscribe", topic="/x/in")["id"]
-        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements and heartbeats come each 3 s"
+        assert edge.ask("wait", id=heard, count=1, seconds=1.5)["messages"], "announcements come each 3 s"
         edge.signal(signal.SIGKILL)
 
 

@@ -34,6 +34,20 @@ def test_only_segments_of_the_dead_are_removed(folder: Path) -> None:
         assert before - set(folder.iterdir()) == {folder / DEAD, folder / f"{DEAD}_el"}
 
 
+def test_ports_of_our_own_dead_are_removed_unless_somebody_uses_them(folder: Path) -> None:
+    for number in (7413, 7415):
+        for name in ("fastrtps_port{}", "fastrtps_port{}_el", "sem.fastrtps_port{}_mutex"):
+            (folder / name.format(number)).touch()
+    before = set(folder.iterdir())
+    with (folder / "fastrtps_port7415_el").open() as used:
+        fcntl.flock(used, fcntl.LOCK_SH)
+        shm.clean_ports([7413, 7415, 7417], folder)
+        gone = {path.name for path in before - set(folder.iterdir())}
+    assert gone == {"fastrtps_port7413", "fastrtps_port7413_el", "sem.fastrtps_port7413_mutex"}
+    shm.clean_ports([7415], folder)
+    assert not list(folder.glob("*7415*"))
+
+
 def test_other_users_count_only_while_they_live(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
