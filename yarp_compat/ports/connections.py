@@ -19,6 +19,9 @@ MOST_INPUTS = 1000
 MOST_OUTPUTS = 1000
 """Output connections of one port; no more are made."""
 
+_UNTOLD = ("admin", "null")
+"""What tools call themselves that only ask something, or look whether a port is there; no events are told of them."""
+
 OnEvent = Callable[[ConnectionEvent], None]
 AnyOutput = Output | DatagramOutput
 
@@ -93,7 +96,7 @@ class Connections:
         self._tell(output.route, incoming=False, up=False)
 
     def _tell(self, route: Route, *, incoming: bool, up: bool) -> None:
-        if self.on_event is not None:
+        if self.on_event is not None and route.source not in _UNTOLD:
             try:
                 self.on_event(ConnectionEvent(route, incoming, up))
             except Exception:

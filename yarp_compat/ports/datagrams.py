@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from yarp_compat.ports.counters import Counters
 from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.message import Message
-from yarp_compat.ports.output import Item
+from yarp_compat.ports.waiting import Item
 from yarp_compat.wire import carriers, message
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.datagrams import Assembler, split

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import time
 
+from yarp_compat.ports.sending import tune
 from yarp_compat.wire import carriers, header
 from yarp_compat.wire.carriers import Carrier, framed
 from yarp_compat.wire.contact import Contact
@@ -25,8 +26,7 @@ def dial(
     end = time.monotonic() + seconds
     sock = socket.create_connection((contact.host, contact.port), seconds)
     try:
-        with contextlib.suppress(OSError):
-            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        tune(sock)
         sock.sendall(header.opening(carrier, sender, qualifiers))
         if carrier is carriers.TEXT_ACK:
             _line(sock, end)

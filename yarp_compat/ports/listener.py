@@ -10,6 +10,7 @@ import socket
 from collections.abc import Callable
 
 from yarp_compat.ports.loop import Loop
+from yarp_compat.ports.sending import tune
 from yarp_compat.wire import header
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.header import Opening
@@ -79,8 +80,7 @@ class Listener:
                     self._make_room(error)
                 return  # the peer went before it was accepted
             sock.setblocking(False)
-            with contextlib.suppress(OSError):
-                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            tune(sock)
             if len(self._silent) >= MOST_SILENT:
                 next(iter(self._silent.values())).drop()
             self._silent[sock] = _Introduction(self, sock, address[:2])

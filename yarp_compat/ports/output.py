@@ -7,13 +7,13 @@ import selectors
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from yarp_compat.ports.counters import Counters
 from yarp_compat.ports.replies import ReplyEnd, ReplyWatch
 from yarp_compat.ports.sending import send_some, sent
+from yarp_compat.ports.waiting import Item, Waiting
 from yarp_compat.wire import carriers, http, message
 from yarp_compat.wire.carriers import Carrier, framed
 from yarp_compat.wire.contact import Route
@@ -30,18 +30,6 @@ _FAREWELL = 0.5
 """Seconds that a peer has to acknowledge the end of a connection."""
 _CHUNK = 1 << 16
 _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
-
-
-class Item:
-    """A message on its way out."""
-
-    __slots__ = ("buffers", "done", "ours")
-
-    def __init__(self, buffers: list[Buffer], ours: bool) -> None:
-        self.buffers = buffers
-        self.done = False
-        self.ours = ours
-        """The thread that wrote it also sees it through."""
 
 
 class Output:
@@ -79,8 +67,7 @@ class Output:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._waiters = 0
-        self._pending: deque[Item] = deque()
-        self._pending_bytes = 0
+        self._pending = Waiting(limit, self.counters.dropped)
         self._driven = False
         self._current: Item | None = None
         self._due = False  # an acknowledgement
@@ -225,25 +212,15 @@ class Output:
     # -- the queue ----------------------------------------------------------------------------------------------------
 
     def _queue(self, item: Item, strict: bool) -> None:
-        """Let a message wait for its turn, the oldest go where there are too many; with the lock held."""
-        if not strict:
-            self.counters.dropped["replaced"] += len(self._pending)
-            self._pending.clear()
-            self._pending_bytes = 0
-        size = message.size(item.buffers)
-        while self._pending and self._pending_bytes + size > self._limit:
-            self._pending_bytes -= message.size(self._pending.popleft().buffers)
-            self.counters.dropped["full"] += 1
-        if not item.ours:
-            item.buffers = [b"".join(item.buffers)]  # its owner may change them
+        """Let a message wait for its turn; with the lock held."""
+        item.own()
         item.ours = False
-        self._pending.append(item)
-        self._pending_bytes += size
+        self._pending.put(item, strict)
 
     def _hand_over(self) -> None:
         """Let the shared thread go on."""
-        if self._current is not None and self._current.buffers:
-            self._current.buffers = [b"".join(self._current.buffers)]
+        if self._current is not None:
+            self._current.own()
         self._loop.call(self._drive)
 
     def _drive(self, _: int = 0) -> None:
@@ -274,12 +251,11 @@ class Output:
             with self._lock:
                 if item is not None:
                     item.done = True
-                self._current = self._pending.popleft() if self._pending else None
+                self._current = self._pending.next()
                 self._driven = self._current is not None
                 self._changed.notify_all()
                 if self._current is None:
                     return 0
-                self._pending_bytes -= message.size(self._current.buffers)
         return 0
 
     @property
@@ -431,9 +407,7 @@ class Output:
     def _dispose(self) -> None:
         """Close the socket; only its driver does that."""
         with self._lock:
-            self.counters.dropped["lost"] += len(self._pending)
-            self._pending.clear()
-            self._pending_bytes = 0
+            self.counters.dropped["lost"] += self._pending.clear()
             self._changed.notify_all()
         self._patient.detach()
         self._sock.close()

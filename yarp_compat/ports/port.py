@@ -11,22 +11,21 @@ from collections.abc import Callable
 from typing import Any
 
 from yarp_compat.naming.naming import Naming
-from yarp_compat.ports import admin, commands, loop, process
+from yarp_compat.ports import accepting, admin, commands, loop, process
 from yarp_compat.ports.address import bound
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
 from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.datagrams import DatagramInput, DatagramOutput, datagram_socket
+from yarp_compat.ports.datagrams import DatagramOutput
 from yarp_compat.ports.dial import dial, say_farewell
-from yarp_compat.ports.inputs import BinaryInput, Input
+from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.lines import from_line
 from yarp_compat.ports.listener import Listener
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.outgoing import Content, Outgoing
-from yarp_compat.ports.output import Item, Output
-from yarp_compat.ports.pages import PageInput
+from yarp_compat.ports.output import Output
 from yarp_compat.ports.replies import ReplyEnd
-from yarp_compat.ports.textinputs import NameInput, TextInput
-from yarp_compat.wire import carriers, header, message
+from yarp_compat.ports.waiting import Item
+from yarp_compat.wire import carriers, message
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.carriers import Carrier
 from yarp_compat.wire.command import PortCommand
@@ -39,12 +38,6 @@ from yarp_compat.wire.profile import Profile
 _log = logging.getLogger("yarp.ports")
 _LOOK = 0.5
 """Seconds between looks whether the peers of idle outputs are still there."""
-_INPUTS = {
-    carriers.HTTP: PageInput,
-    carriers.NAME_SER: NameInput,
-    carriers.TEXT: TextInput,
-    carriers.TEXT_ACK: TextInput,
-}
 
 OnMessage = Callable[[Message], Any]
 OnLine = Callable[[str, tuple[str, int]], bytes]
@@ -317,7 +310,7 @@ class PortCore:
             msg = f"{route.target} is not a port of this process, which the carrier local is for"
             raise ConnectionRefusedError(msg)
         ours, theirs = socket.socketpair()
-        there.attach(theirs, Opening(carrier, self.name, qualifiers, 0), b"", ("", 0))
+        there.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
         self._add(ours, route, carrier)
 
     def _add(self, sock: socket.socket, route: Route, carrier: Carrier) -> None:
@@ -376,27 +369,13 @@ class PortCore:
 
     def _opened(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
         """A connection introduced itself; on the shared thread."""
-        try:
-            if opened.carrier is carriers.LOCAL:
-                raise ConnectionRefusedError("the carrier local is for ports of one process")
-            if opened.carrier is carriers.UDP:
-                with sock:
-                    made = datagram_socket(sock)
-                    sock.send(header.answer(opened, made.getsockname()[1]))
-                self._attach(DatagramInput(self, made, opened, address))
-                return
-            if told := header.answer(opened, self.contact.port):
-                sock.send(told)
-        except OSError as error:
-            _log.debug("port %s: a connection from %s:%d failed: %s", self.name, *address, error)
-            sock.close()
-            return
-        self.attach(sock, opened, rest, address)
+        connection = accepting.answer(self, sock, opened, rest, address)
+        if connection is not None:
+            self._attach(connection)
 
-    def attach(self, sock: socket.socket, opened: Opening, rest: bytes, address: tuple[str, int]) -> None:
-        """Take an input connection that was answered."""
-        kind = _INPUTS.get(opened.carrier, BinaryInput)
-        self._attach(kind(self, sock, opened, rest, address))
+    def attach(self, sock: socket.socket, opened: Opening) -> None:
+        """Take a connection from a port of the same process."""
+        self._attach(accepting.made_of(self, sock, opened, b"", ("", 0)))
 
     def _attach(self, connection: Input) -> None:
         shared = self._loop
@@ -407,7 +386,8 @@ class PortCore:
 
     def _refused(self, peer: str, error: WireError) -> None:
         self.counters.dropped["malformed"] += 1
-        _log.info("port %s refused a connection from %s: %s", self.name, peer, error)
+        level = logging.WARNING if isinstance(error, carriers.CarrierError) else logging.INFO
+        _log.log(level, "port %s refused a connection from %s: %s", self.name, peer, error)
 
     def refused(self, route: Route, error: WireError) -> None:
         """A connection said something that is no message."""

@@ -1,11 +1,25 @@
-"""Sending several buffers at once on a blocking socket."""
+"""Sockets of connections: how they are set, and several buffers sent at once."""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections.abc import Sequence
 
 from yarp_compat.wire.message import JOINED, Buffer
+
+_KEEP_ALIVE = (("TCP_KEEPIDLE", 30), ("TCP_KEEPINTVL", 10), ("TCP_KEEPCNT", 3))
+"""After how many seconds of silence the system asks a peer's machine, how far apart, and how often."""
+
+
+def tune(sock: socket.socket) -> None:
+    """Have small messages sent at once, and the end of a peer's machine noticed."""
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in _KEEP_ALIVE:
+            if hasattr(socket, name):
+                sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def send_all(sock: socket.socket, buffers: Sequence[Buffer]) -> None:

@@ -16,6 +16,10 @@ _ACK = 128
 _SPECIFIERS = 16
 
 
+class CarrierError(WireError):
+    """A carrier of YARP that is not offered here; the text names it, and those that are."""
+
+
 @dataclass(frozen=True, slots=True)
 class Carrier:
     """One way of carrying messages.
@@ -86,7 +90,7 @@ def parse(text: str) -> tuple[Carrier, str]:
         known = ", ".join(c.name for c in OUTPUTS)
         what = "a YARP carrier that is not offered here" if name in _OTHERS or carrier else "unknown"
         msg = f"carrier {name[:60]!r} is {what}; use one of {known}"
-        raise WireError(msg)
+        raise CarrierError(msg)
     return carrier, qualifiers
 
 
@@ -107,7 +111,7 @@ def recognise(opening: bytes | bytearray | memoryview) -> Carrier:
             return UDP
         other = _UNKNOWN_HERE.get(specifier, f"number {specifier}") if value >= _BASE else f"number {value}"
         msg = f"carrier {other} is not offered here; use one of {', '.join(CARRIERS)}"
-        raise WireError(msg)
+        raise CarrierError(msg)
     for carrier in (TEXT, TEXT_ACK, NAME_SER, LOCAL):
         if first == carrier.opening:
             return carrier
