@@ -56,8 +56,8 @@ class PageInput(Input):
             words = decode(self.port.administer(encode(from_text(told), self.port.profile), self))
             return self._page([to_text(words)])
         if "req" in query:
-            told = {"format": "json", **query, "REQUEST_URI": request.target}
-            values = [*from_text(query["req"]), *([key, told[key]] for key in sorted(told))]
+            fields = {"format": "json", **query, "REQUEST_URI": request.target}
+            values = [*from_text(query["req"]), *([key, fields[key]] for key in sorted(fields))]
             return self._message(values, query.get("outer", "auto"))
         if "data" in query:
             return self._message(
