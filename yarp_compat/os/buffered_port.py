@@ -121,6 +121,13 @@ class BufferedPort(Contactable, TypedReaderCallback):
         """The message read last; None when there was none."""
         return self._last
 
+    def acquire(self) -> Any:
+        """Take the message read last out of the port's hands, where it is not anyway: every read gives a new object."""
+        return self._last
+
+    def release(self, handle: Any) -> None:
+        """Give it back: nothing to do."""
+
     def getPendingReads(self) -> int:
         """How many messages wait to be read."""
         return len(self._inbox)
@@ -171,7 +178,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
             self._last = content = self._next(wait=True, stopped=stopped)
             return content
 
-        self._thread = CallbackThread(self.getName(), take, self._callback, self)
+        self._thread = CallbackThread(self.getName(), take, self._callback, self, self._callback_lock)
 
     # -- the port's life ----------------------------------------------------------------------------------------------
 
@@ -197,6 +204,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
     def _take(self, message: Message) -> None:
         if message.wants_reply and self._replier is not None:
-            answer(self._replier, message, Contact(self.getName()))
+            with self._callback_lock:
+                answer(self._replier, message, Contact(self.getName()))
         else:
             self._inbox.put(message)

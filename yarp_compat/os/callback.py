@@ -6,6 +6,7 @@ import inspect
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 log = logging.getLogger("yarp.os.BufferedPort")
@@ -27,10 +28,19 @@ class CallbackThread:
         take: waits for the next content; given a function that tells when to stop, it returns None then or at the end.
         callback: an object with ``onRead``, or a function.
         port: handed to callbacks that want it.
+        lock: held by each call.
     """
 
-    def __init__(self, name: str, take: Callable[[Callable[[], bool]], Any], callback: Any, port: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        take: Callable[[Callable[[], bool]], Any],
+        callback: Any,
+        port: Any,
+        lock: AbstractContextManager[Any],
+    ) -> None:
         self._take = take
+        self._lock = lock
         self._call = _caller(getattr(callback, "onRead", callback), port)
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"yarp callback {name}", daemon=True)
@@ -39,7 +49,8 @@ class CallbackThread:
     def _run(self) -> None:
         while (content := self._take(self._stopped.is_set)) is not None:
             try:
-                self._call(content)
+                with self._lock:
+                    self._call(content)
             except Exception:
                 log.exception("a callback failed; the port goes on with the next message")
 

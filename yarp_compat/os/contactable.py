@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import threading
 import weakref
 from collections.abc import Callable
 from typing import Any
@@ -41,6 +43,7 @@ class Contactable:
         self._interrupted = False
         self._envelope = ""
         self._type = ""
+        self._callback_lock: Any = contextlib.nullcontext()
         self._finalizer: weakref.finalize[..., Any] | None = None
 
     # -- life ---------------------------------------------------------------------------------------------------------
@@ -280,6 +283,35 @@ class Contactable:
         del reader
         msg = "yarp_compat ports answer administrative commands themselves: setAdminReader is not there"
         raise NotImplementedError(msg)
+
+    # -- a lock that callbacks hold -----------------------------------------------------------------------------------
+
+    def setCallbackLock(self, mutex: Any = None) -> bool:
+        """Have readers and callbacks hold a lock while they take a message: this one, or one of the port's."""
+        self._callback_lock = threading.RLock() if mutex is None else mutex
+        return True
+
+    def removeCallbackLock(self) -> bool:
+        """Have them hold none."""
+        self._callback_lock = contextlib.nullcontext()
+        return True
+
+    def lockCallback(self) -> bool:
+        """Wait until no callback runs, and let none run until `unlockCallback`; False where there is no lock."""
+        return self._has_lock and bool(self._callback_lock.acquire())
+
+    def tryLockCallback(self) -> bool:
+        """The same without waiting; False where a callback runs."""
+        return self._has_lock and bool(self._callback_lock.acquire(blocking=False))
+
+    def unlockCallback(self) -> None:
+        """Let callbacks run."""
+        if self._has_lock:
+            self._callback_lock.release()
+
+    @property
+    def _has_lock(self) -> bool:
+        return hasattr(self._callback_lock, "acquire")
 
     # -- what comes from the engine -----------------------------------------------------------------------------------
 

@@ -32,6 +32,10 @@ class Port(Contactable):
         self._timeout: float | None = None
         self._due: Message | None = None
 
+    def asPort(self) -> Port:
+        """This port itself."""
+        return self
+
     def interrupt(self) -> None:
         """Let whoever waits for this port go; until `resume` it reads and writes nothing."""
         super().interrupt()
@@ -152,7 +156,8 @@ class Port(Contactable):
             self._handoff.give(message)
             return
         self._envelope = message.envelope or self._envelope
-        answer(self._reader, message, Contact.of(core.contact))
+        with self._callback_lock:
+            answer(self._reader, message, Contact.of(core.contact))
 
     def _began(self) -> None:
         self._handoff = Handoff()

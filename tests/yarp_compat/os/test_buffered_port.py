@@ -145,6 +145,22 @@ def test_a_callback_may_fail_and_close(caplog: pytest.LogCaptureFixture) -> None
     assert "a callback failed" in caplog.text
 
 
+def test_callbacks_hold_a_lock() -> None:
+    reader, writer = connected()
+    got: list[int] = []
+    assert not reader.lockCallback()
+    reader.setCallbackLock()
+    reader.useCallback(lambda bottle: got.append(bottle.get(0).asInt32()))
+    assert reader.lockCallback()
+    send(writer, 1)
+    time.sleep(0.05)
+    assert got == []
+    reader.unlockCallback()
+    until(lambda: got == [1], "the callback")
+    assert reader.tryLockCallback()
+    reader.unlockCallback()
+
+
 @pytest.mark.parametrize("end", ["interrupt", "close"])
 def test_waiting_ends(end: str) -> None:
     reader, _ = connected()
