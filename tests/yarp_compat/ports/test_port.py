@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -183,7 +184,6 @@ def test_large_messages_are_their_readers_own(make_port: MakePort) -> None:
 
 def test_many_blocks(make_port: MakePort) -> None:
     """C++ programs send large objects in several blocks."""
-    import socket
     import struct
 
     got: list[bytes] = []
@@ -226,6 +226,21 @@ def test_connecting_again_replaces(make_port: MakePort) -> None:
         assert writer.add_output(f"{carrier}://r")[0]
         assert writer.outputs() == [Route("/w", "/r", carrier)]
         until(lambda c=carrier: reader.inputs() == [Route("/w", "/r", c)], f"only {carrier}")
+
+
+def test_a_second_connection_of_the_same_port_replaces(make_port: MakePort) -> None:
+    """Of a port that came back before its end was noticed; tools, which have no names of their own, are all kept."""
+    port = make_port("/r", Reader())
+    socks = []
+    for name in (b"/w\0", b"/v\0", b"/w\0", b"ad\0", b"ad\0"):
+        socks.append(socket.create_connection((port.contact.host, port.contact.port)))
+        socks[-1].sendall(b"YAd\x1e\0\0RP\x03\0\0\0" + name)
+        assert len(socks[-1].recv(8)) == 8
+    until(lambda: sorted(r.source for r in port.inputs()) == ["/v", "/w", "ad", "ad"], "one of each port")
+    socks[0].settimeout(10)
+    assert socks[0].recv(1) == b""
+    for sock in socks:
+        sock.close()
 
 
 def test_either_side_disconnects(make_port: MakePort) -> None:
