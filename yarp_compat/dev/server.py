@@ -15,6 +15,7 @@ from yarp_compat.dev.call import Call
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Service, write_version
 from yarp_compat.ports.events import ConnectionEvent
+from yarp_compat.wire.binary import encode
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.message import Buffer
@@ -98,7 +99,7 @@ class Server:
             self._log("a request of %s is refused: %s", peer or "?", error)
             return _fail()
         if call is None:
-            return self._special(words, arguments, peer)
+            return self._special(words, arguments, peer, text=text)
         if not text and found is not generation.profile:
             self.generations.recognised(peer, found)
             generation = self.generations.of(peer).generation
@@ -143,7 +144,9 @@ class Server:
                 raise WireError(f"there is no method {name!r}")
             name += "_" + source.word()
 
-    def _special(self, name: str, arguments: list[Any], peer: str) -> bytes:
+    def _special(self, name: str, arguments: list[Any], peer: str, *, text: bool) -> bytes:
+        if name == INTRODUCTION and text:
+            return encode([self._service.PROTOCOL, 4, 0, 0], Profile.YARP3)
         if name == INTRODUCTION:
             self.generations.introduced(peer)
             return write_version(self._service.PROTOCOL)

@@ -18,7 +18,7 @@ from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, f
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
-from yarp_compat.dev.service import Service, rpc
+from yarp_compat.dev.service import INTRODUCTION, Service, rpc
 from yarp_compat.dev.structure import Structure
 from yarp_compat.wire import binary
 from yarp_compat.wire.errors import WireError
@@ -342,6 +342,8 @@ def test_a_text_carrier_gets_a_bottle_in_every_generation() -> None:
         ask = binary.encode(["get_status_RPC"], Profile.YARP3)
         server(SimpleNamespace(payload=ask, peer=peer, reply=said.append))
         assert binary.decode(said[0], Profile.YARP3) == ["ok", "locy"]
+        server(SimpleNamespace(payload=binary.encode([INTRODUCTION], Profile.YARP3), peer=peer, reply=said.append))
+        assert binary.decode(said[1], Profile.YARP3) == [3, 4, 0, 0]
         assert peer.profile is Profile.YARP3
         assert server.generations.explain() == []
 
