@@ -18,6 +18,7 @@ from typing import Any, Self, TypeVar
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.errors import PortError
 from yarp_compat.naming.naming import Naming
+from yarp_compat.os.connection import recognised
 from yarp_compat.os.inbox import Inbox
 from yarp_compat.ports.message import Message, Payload
 from yarp_compat.ports.port import PortCore
@@ -40,8 +41,8 @@ class Received:
 
     def __init__(self, raw: Message, profile: Profile) -> None:
         self.raw = raw
-        self._profile = raw.peer.profile
-        self._reply_profile = raw.peer.profile or profile
+        self._profile = recognised(raw)
+        self._reply_profile = self._profile or profile
 
     @property
     def values(self) -> list[Any]:

@@ -13,6 +13,9 @@ from yarp_compat import aio
 from yarp_compat.naming.errors import PortError
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.pythonic import Client, Reader, Server, Writer
+from yarp_compat.wire import binary
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.reply import recognise
 
 
 @pytest.fixture
@@ -50,6 +53,15 @@ def test_questions_and_answers(naming: LocalNaming) -> None:
     with Server("/s", lambda values: [len(values), *values], naming=naming), Client("/s", naming=naming) as client:
         assert client.ask(["a", 1]) == [2, "a", 1]
         assert client.name.startswith("/tmp/port/")
+
+
+def test_answers_are_in_the_askers_dialect(naming: LocalNaming) -> None:
+    with Server("/s", lambda values: [values[0] / 2], naming=naming):
+        for profile in Profile:
+            with Client("/s", naming=naming, profile=profile) as client:
+                answer = client.core.request(binary.encode([3.0], profile))
+                assert binary.decode(answer, profile) == [1.5]
+                assert recognise(answer) is profile
 
 
 def test_a_reader_may_answer(naming: LocalNaming) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from yarp_compat.os.callback import CallbackThread, TypedReaderCallback
-from yarp_compat.os.connection import PortReader
+from yarp_compat.os.connection import PortReader, recognised
 from yarp_compat.os.contact import Contact
 from yarp_compat.os.contactable import Contactable
 from yarp_compat.os.inbox import Inbox
@@ -110,7 +110,7 @@ class BufferedPort(Contactable, TypedReaderCallback):
                 return None
             content = self._content()
             try:
-                content.from_wire(message.payload, message.peer.profile)
+                content.from_wire(message.payload, recognised(message))
             except WireError as err:
                 log.error("port %s: a message from %s is skipped: %s", self.getName(), message.peer.route.source, err)
                 continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import struct
 import sys
@@ -239,11 +240,12 @@ class ConnectionReader:
 
 def profile_of(message: Message | None, default: Profile) -> Profile:
     """The dialect of a message: its sender's where that is known, else told by the bytes, else the default."""
-    if message is None:
-        return default
-    if message.peer.profile is not None:
-        return message.peer.profile
-    try:
-        return recognise(message.payload) or default
-    except WireError:
-        return default
+    return (recognised(message) if message is not None else None) or default
+
+
+def recognised(message: Message) -> Profile | None:
+    """The dialect of a message's sender, as known up to now; None where nothing that came has told it."""
+    if message.peer.profile is None:
+        with contextlib.suppress(WireError):
+            message.peer.profile = recognise(message.payload)
+    return message.peer.profile

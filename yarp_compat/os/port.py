@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from yarp_compat.os.connection import ConnectionReader, PortReader, profile_of
+from yarp_compat.os.connection import ConnectionReader, PortReader, profile_of, recognised
 from yarp_compat.os.contact import Contact
 from yarp_compat.os.contactable import Contactable
 from yarp_compat.os.handoff import Handoff
@@ -103,7 +103,7 @@ class Port(Contactable):
             return False
         self._envelope = message.envelope or self._envelope
         try:
-            data.from_wire(message.payload, message.peer.profile)
+            data.from_wire(message.payload, recognised(message))
         except WireError as err:
             log.error("port %s: a message from %s cannot be read: %s", core.name, message.peer.route.source, err)
             message.give_up()

@@ -11,6 +11,10 @@ import pytest
 
 import yarp_compat as yarp
 from tests.support.wait import until
+from yarp_compat.os.runtime import RUNTIME
+from yarp_compat.pythonic import Client
+from yarp_compat.wire import binary
+from yarp_compat.wire.profile import Profile
 
 pytestmark = pytest.mark.usefixtures("local")
 
@@ -303,3 +307,14 @@ def test_ports_need_the_network(caplog: pytest.LogCaptureFixture) -> None:
         assert "yarp.Network.init()" in caplog.text
     finally:
         yarp.Network.init()
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_answers_are_in_the_askers_dialect(profile: Profile) -> None:
+    server, reader = yarp.Port(), Echo()
+    server.setReader(reader)
+    assert server.open("/s")
+    asker = Client("/s", naming=RUNTIME.naming, profile=profile)
+    with asker:
+        answer = asker.core.request(binary.encode(["x", 2.5], profile))
+    assert binary.decode(answer, profile) == ["got", "x", 2.5]

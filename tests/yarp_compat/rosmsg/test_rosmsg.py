@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from yarp_compat.os.nested import NestedName
 from yarp_compat.rosmsg.definition import DefinitionError, Field, full_name, parse
 from yarp_compat.rosmsg.library import Library
 from yarp_compat.rosmsg.message import TickTime
@@ -216,3 +220,30 @@ def test_types_that_hold_themselves_are_refused() -> None:
 def test_names_never_become_paths(name: str, tmp_path: Path) -> None:
     with pytest.raises(DefinitionError):
         Library({"YARP_ROSMSG_PATH": str(tmp_path)}).get(name)
+
+
+_LIBRARY = Library({})
+_LIBRARY.add("test/Scan", SCAN)
+_SCAN = _LIBRARY.get("test/Scan")(ranges=[1.0, 2.0], names=["a", "b"], points=[_LIBRARY.get("test/Point")()])
+
+
+@given(st.binary(max_size=200), st.integers(0, 300), st.sampled_from([None, *Profile]))
+def test_hostile_bytes_are_refused_or_read(junk: bytes, at: int, profile: Profile | None) -> None:
+    data = _SCAN.to_bytes()
+    for payload in (junk, data[:at] + junk, data[:at] + junk + data[at + len(junk) :]):
+        with contextlib.suppress(WireError):
+            _LIBRARY.get("test/Scan").from_bytes(payload, profile)
+
+
+@given(
+    st.text(st.sampled_from("ab1 _/[]<=#\n\"'-:."), max_size=60),
+    st.sampled_from(["", "int32 a\n", f"{LINE}\nMSG: a/b\n"]),
+)
+def test_hostile_definitions_are_refused_or_read(junk: str, before: str) -> None:
+    with contextlib.suppress(DefinitionError):
+        Library({}).add("test/Type", before + junk)
+
+
+@given(st.text(max_size=40))
+def test_any_name_is_taken_apart(name: str) -> None:
+    assert NestedName.parse(NestedName.parse(name).port).port == NestedName.parse(name).port
