@@ -9,8 +9,9 @@ import numpy as np
 
 from bridge.messages.errors import ConversionError
 from bridge.messages.yarp.natural.kind import Kind, Message, Missing, header
-from yarp_compat.sig.image import QUANTUM, FlexImage
+from yarp_compat.sig.image import FlexImage
 from yarp_compat.sig.pixels import PixelCode, format_of
+from yarp_compat.sig.raster import QUANTUM
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.writer import Writer
 
