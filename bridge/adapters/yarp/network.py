@@ -41,7 +41,7 @@ class YarpNetwork:
     def __init__(self, section: YarpSection, state: Path) -> None:
         self._section = section
         self._state = state / "yarp_names.json"
-        self._address = _address(section)
+        self._address = address_of(section)
         self.naming = NameClient(self._address, timeout=ASK_SECONDS)
         self._server: NameServer | None = None
         self._silent_since: float | None = None
@@ -115,7 +115,8 @@ class YarpNetwork:
             server.close()
 
 
-def _address(section: YarpSection) -> Address | None:
+def address_of(section: YarpSection) -> Address | None:
+    """What the configuration says of the name server's place, None where yarp.conf is to say it."""
     if section.address is None:
         return None
     host, _, port = section.address.rpartition(":")

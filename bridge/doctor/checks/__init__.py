@@ -14,6 +14,7 @@ from bridge.doctor.checks import (
     router,
     sharedmemory,
     types,
+    yarp,
 )
 from bridge.doctor.finding import Check
 
@@ -30,6 +31,8 @@ CHECKS: tuple[Check, ...] = (
     Check("ros2-packages", "ROS 2 on this machine", ros2.look_at_packages),
     Check("ros2-environment", "this shell's ROS 2 against the daemon's", ros2.look_at_environment),
     Check("ros2-rmw", "the ROS 2 middleware of this shell", ros2.look_at_rmw),
+    Check("yarp-names", "the YARP name server", yarp.look_at_name_server),
+    Check("yarp-environment", "this shell's YARP against the daemon's", yarp.look_at_environment),
     Check("two-bridges", "other bridges on the same networks", bridges.look, seconds=15.0),
     Check("types", "message types that could not be used", types.look_at_refused),
     Check("type-hash", "definitions that differ between machines", types.look_at_hashes),

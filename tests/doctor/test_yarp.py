@@ -1,0 +1,44 @@
+"""Checks of YARP, against a name server."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.doctor.checks import yarp
+from bridge.doctor.finding import Result
+from tests.doctor.parts import around, only
+from tests.support.ports import free_port
+from tests.support.yarp_programs import Names
+
+
+@pytest.fixture
+def names() -> Iterator[Names]:
+    made = Names()
+    yield made
+    made.stop()
+
+
+def test_the_name_server(names: Names) -> None:
+    there = around({"yarp": {"address": names.endpoint, "nameserver": "site"}})
+    assert only(yarp.look_at_name_server(there)).result is Result.OK
+    address = f"127.0.0.1:{free_port()}"
+    site = only(yarp.look_at_name_server(around({"yarp": {"address": address, "nameserver": "site"}})))
+    assert (site.result, "start yarpserver" in site.cure) == (Result.FAIL, True)
+    assert only(yarp.look_at_name_server(around({"yarp": {"address": address}}))).result is Result.WARN
+    assert only(yarp.look_at_name_server(around({"yarp": {"enabled": False}}))).result is Result.SKIP
+
+
+def test_this_shells_yarp(names: Names, tmp_path: Path) -> None:
+    config = {"yarp": {"address": names.endpoint}}
+    environ = {"YARP_CONFIG_HOME": str(tmp_path)}
+    none = only(yarp.look_at_environment(around(config, environ)))
+    assert (none.result, str(tmp_path / "yarp.conf") in none.cure) == (Result.WARN, True)
+    (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n")
+    assert "says 127.0.0.1:1" in only(yarp.look_at_environment(around(config, environ))).seen
+    (tmp_path / "yarp.conf").write_text(f"{names.address.host} {names.address.port} yarp\n")
+    assert only(yarp.look_at_environment(around(config, environ))).result is Result.OK
+    (tmp_path / "yarp.conf").write_text("nonsense\n")
+    assert only(yarp.look_at_environment(around(config, environ))).result is Result.FAIL
