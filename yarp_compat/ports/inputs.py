@@ -50,7 +50,7 @@ class Input:
         self.route = Route(opened.sender, port.name, opened.carrier.name)
         self.carrier = opened.carrier
         self.address = address
-        self.profile: Profile | None = None
+        self.profile: Profile | None = port.profile if opened.carrier.text else None  # lines become that port's Bottles
         self.counters = Counters()
         self.sock = sock
         sock.setblocking(True)

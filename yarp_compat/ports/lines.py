@@ -8,8 +8,13 @@ from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.text import from_text, to_text
 
 
-def to_line(payload: Payload, plain: bool = False) -> bytes:
-    """A Bottle's line, with its end; or with ``plain``, text as it is.
+def to_line(payload: Payload, profile: Profile | None = None, *, plain: bool = False) -> bytes:
+    """A Bottle's line, with its end.
+
+    Args:
+        payload: the Bottle.
+        profile: its dialect; None: recognised.
+        plain: it is text already, and stays as it is.
 
     Raises:
         WireError: it is no Bottle.
@@ -17,7 +22,7 @@ def to_line(payload: Payload, plain: bool = False) -> bytes:
     data = payload if isinstance(payload, (bytes, bytearray, memoryview)) else b"".join(payload)
     if plain:
         return bytes(data)
-    return to_text(decode(data)).encode(errors="surrogateescape") + b"\r\n"
+    return to_text(decode(data, profile)).encode(errors="surrogateescape") + b"\r\n"
 
 
 def from_line(line: bytes, profile: Profile) -> bytes:

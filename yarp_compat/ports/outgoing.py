@@ -42,12 +42,12 @@ class Outgoing:
             if written_kind is kind and written_profile is profile:
                 return found
         payload = self._content(profile) if callable(self._content) else self._content
-        found = [self._line(payload, carrier)] if carrier.text else framed(payload, self._envelope, self._key)
+        found = [self._line(payload, carrier, profile)] if carrier.text else framed(payload, self._envelope, self._key)
         self._written.append((kind, profile, found))
         return found
 
-    def _line(self, payload: Payload, carrier: Carrier) -> bytes:
-        content = self._text().encode(errors="surrogateescape") + b"\r\n" if self._text else to_line(payload)
+    def _line(self, payload: Payload, carrier: Carrier, profile: Profile) -> bytes:
+        content = self._text().encode(errors="surrogateescape") + b"\r\n" if self._text else to_line(payload, profile)
         if carrier is carriers.HTTP:
             return b"%x\r\n%b\r\n" % (len(content), content)  # a chunk of the page
         word = f"{self._key} {self._envelope}" if self._envelope else self._key

@@ -114,7 +114,11 @@ class PortCore:
             self._listener = Listener(shared, sock, self._opened, self._refused)
             shared.call(self._look)
             process.add(self)
-        self.naming.announce(self.name)
+        try:
+            self.naming.announce(self.name)
+        except OSError:
+            self.close()
+            raise
         return contact
 
     def close(self) -> None:

@@ -40,7 +40,7 @@ class TextInput(Input):
     def _content(self, word: PortCommand, payload: bytes) -> tuple[bytes, bool]:
         """What is answered to a command with a Bottle; and whether the connection is to end."""
         if word.key == "a":
-            answer = to_line(self.port.administer(payload, self))
+            answer = to_line(self.port.administer(payload, self), self.profile)
             return (answer if self.carrier.reply else b""), False
         data_only = word.text == "do"
         quiet = word.key == "D" or data_only or not self.carrier.reply
@@ -49,7 +49,7 @@ class TextInput(Input):
         if quiet:
             self.port.deliver(message)
             return b"", message.is_last
-        return to_line(self.deliver(message), message.is_plain), message.is_last
+        return to_line(self.deliver(message), plain=message.is_plain), message.is_last
 
 
 class NameInput(Input):
@@ -72,4 +72,4 @@ class NameInput(Input):
         if self.port.on_line is not None:
             return self.port.on_line(text, self.address)
         message = Message(from_line(line, self.port.profile), "", self, wants_reply=True)
-        return to_line(self.deliver(message), message.is_plain)
+        return to_line(self.deliver(message), plain=message.is_plain)

@@ -21,6 +21,7 @@ from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Float32
 
 HELLO = encode(["hello", 42, 3.5], Profile.YARP3)
 ALL = ["tcp", "fast_tcp", "udp", "text", "text_ack", "local"]
@@ -468,3 +469,28 @@ def test_asked_number_and_name(naming: LocalNaming) -> None:
     port.close()
     port.close()
     assert naming.query(contact.name) is None
+
+
+@pytest.mark.parametrize("profile", list(Profile))
+@pytest.mark.parametrize("carrier", ["text", "text_ack"])
+def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Profile) -> None:
+    """What is written in a port's dialect becomes a line, and that a Bottle of the reader's dialect."""
+    got: list[bytes] = []
+    make_port("/r", lambda m: got.append(bytes(m.payload)), profile=profile)
+    writer = make_port("/w", profile=profile)
+    writer.add_output(f"{carrier}://r")
+    writer.write(encode([Float32(1.5), Float32(2.5)], profile), strict=True)
+    until(lambda: got, "the message")
+    assert got == [encode([1.5, 2.5], profile)]
+
+
+def test_a_port_that_cannot_be_announced_is_not_open(naming: LocalNaming, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str, alive: bool = True) -> None:
+        raise ConnectionRefusedError
+
+    monkeypatch.setattr(naming, "announce", refuse)
+    port = PortCore("/p", naming=naming)
+    with pytest.raises(ConnectionRefusedError):
+        port.open()
+    assert not port.is_open
+    assert naming.query("/p") is None
