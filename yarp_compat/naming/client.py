@@ -34,13 +34,17 @@ class NameClient:
 
     Args:
         address: where it is; None looks it up in yarp.conf, again whenever it was not reached.
+        namespace: the network's name; None: what the environment or YARP's file says.
         timeout: seconds that any command may take.
 
     Every method raises NoNameServerError where nobody answers, and ConfigError where yarp.conf cannot be used.
     """
 
-    def __init__(self, address: Address | None = None, *, timeout: float = TIMEOUT) -> None:
+    def __init__(
+        self, address: Address | None = None, *, namespace: str | None = None, timeout: float = TIMEOUT
+    ) -> None:
         self._given = address
+        self._namespace = namespace
         self._found: Address | None = None
         self._timeout = timeout
         self._registered: dict[str, _Registered] = {}
@@ -53,10 +57,10 @@ class NameClient:
             NoNameServerError: no file says it.
             ConfigError: the file cannot be used.
         """
-        address = self._given or self._found or config.read()
+        address = self._given or self._found or config.read(self._namespace)
         if address is None:
             msg = (
-                f"no file says where YARP's name server is: {config.file()} should hold a line such as"
+                f"no file says where YARP's name server is: {config.file(self._namespace)} should hold a line such as"
                 " '127.0.0.1 10000 yarp' ('yarp detect --write' or 'midspan yarp server --write' makes it)"
             )
             raise NoNameServerError(msg)
@@ -66,7 +70,7 @@ class NameClient:
     @property
     def contact(self) -> Contact:
         """The name server's own port."""
-        return self.address.contact(config.namespace())
+        return self.address.contact(self._namespace or config.namespace())
 
     def use(self, address: Address) -> None:
         """Ask the name server at this address from now on, whatever yarp.conf says."""
@@ -126,7 +130,7 @@ class NameClient:
             return known
         if not is_name(known.name):
             return None
-        if known.name == config.namespace():
+        if known.name == (self._namespace or config.namespace()):
             return self.contact
         answer = self.lines(["query", known.name])
         return Contact.from_registration(answer[0]) if answer else None

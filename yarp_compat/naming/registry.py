@@ -7,7 +7,6 @@ exactly what is known of it (as ours do when the name server was away) changes n
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import Any
 
 from yarp_compat.naming.allocation import Allocator
 from yarp_compat.naming.answers import HELP, OLD, STYLE, Answer, as_bottle, as_value, as_words, code
+from yarp_compat.naming.command import Command, plain_name, wants_json
 from yarp_compat.naming.subscriptions import Subscriptions, Wish
 from yarp_compat.wire.contact import MAX_NAME, Contact, is_name
 from yarp_compat.wire.text import plain_text
@@ -44,25 +44,6 @@ class Entry:
     announced: bool = False
 
 
-@dataclass(slots=True)
-class _Command:
-    """A command being answered: its words, whether as Bottle (``bot``), from which address, and what came of it."""
-
-    words: Sequence[Any]
-    bot: bool
-    remote: str
-    events: list[list[Any]] = field(default_factory=list)
-    wishes: list[Wish] = field(default_factory=list)
-    changed: bool = False
-
-    def word(self, index: int) -> str:
-        return plain_text(self.words[index]) if index < len(self.words) else ""
-
-    @property
-    def head(self) -> list[Any]:
-        return [] if self.bot else [OLD]
-
-
 class Registry:
     """All that a name server knows.
 
@@ -78,7 +59,7 @@ class Registry:
         self._allocator = Allocator(server.port)
         self._subscriptions = Subscriptions(self._is_port)
         self._types: dict[tuple[str, str], str] = {}
-        self._commands: dict[str, Callable[[_Command], list[Any]]] = {
+        self._commands: dict[str, Callable[[Command], list[Any]]] = {
             "register": self._register,
             "unregister": self._unregister,
             "query": self._query,
@@ -114,19 +95,19 @@ class Registry:
             remote: the address that it comes from.
         """
         words = list(words)
-        bot = _wants_json(words)
+        bot = wants_json(words)
         if words and words[0] == "NAME_SERVER":
             words = words[1:]
         if words and words[0] == "bot":
             bot, words = True, words[1:]
-        command = _Command(words, bot, remote)
+        command = Command(words, bot, remote)
         perform = self._commands.get(command.word(0))
         values = perform(command) if perform else [OLD]
         return Answer(values, tuple(command.events), tuple(command.wishes), command.changed)
 
     def remove(self, names: Iterable[str]) -> Answer:
         """Forget ports that are dead; returns the events of that."""
-        command = _Command((), bot=False, remote="")
+        command = Command((), bot=False, remote="")
         for name in names:
             if name != self.server.name:
                 self._forget(command, name)
@@ -152,6 +133,7 @@ class Registry:
     def state(self) -> dict[str, Any]:
         """All that it remembers, for a file."""
         return {
+            "own": self._ports[self.server.name].properties,
             "ports": [
                 [e.contact.name, e.contact.carrier, e.contact.host, e.contact.port, e.properties]
                 for e in self._ports.values()
@@ -168,19 +150,19 @@ class Registry:
         Raises:
             KeyError, TypeError, ValueError: it is not what `state` gives.
         """
+        self._ports[self.server.name].properties.update(_properties(state.get("own", {})))
         for name, carrier, host, port, properties in state["ports"]:
             sane = is_name(name) and is_name(carrier) and is_name(host) and 0 <= int(port) <= 0xFFFF
             if sane and name != self.server.name and len(self._ports) < MAX_PORTS:
                 self.add(Contact(name, host, int(port), carrier))
-                kept = {str(key): [str(v) for v in values] for key, values in properties.items()}
-                self._ports[name].properties.update(kept)
+                self._ports[name].properties.update(_properties(properties))
         self._types = {(str(family), str(name)): str(value) for family, name, value in state["types"]}
         self._allocator.restore(state["allocation"])
         self._subscriptions.restore(state["subscriptions"])
 
     # -- registering ---------------------------------------------------------------------------------------------
 
-    def _register(self, command: _Command) -> list[Any]:
+    def _register(self, command: Command) -> list[Any]:
         asked = self._asked(command)
         if asked is None:
             return [OLD]
@@ -202,7 +184,7 @@ class Registry:
             command.events.append([Vocab("add"), contact.name])
         return self._described(command, contact.name)
 
-    def _asked(self, command: _Command) -> Contact | None:
+    def _asked(self, command: Command) -> Contact | None:
         """The contact as far as the command says it; None where it cannot be registered."""
         name, carrier, host, number = (command.word(i) for i in (1, 2, 3, 4))
         carrier = "tcp" if carrier in ("", "...") else carrier
@@ -237,13 +219,13 @@ class Registry:
             return None
         return Contact(name, host, number, asked.carrier)
 
-    def _unregister(self, command: _Command) -> list[Any]:
+    def _unregister(self, command: Command) -> list[Any]:
         name = command.word(1)
         if name != self.server.name:
             self._forget(command, name)
         return self._described(command, name)
 
-    def _forget(self, command: _Command, name: str, depth: int = 0) -> None:
+    def _forget(self, command: Command, name: str, depth: int = 0) -> None:
         """Forget a port, and what it owns (a port that writes by mcast owns its group's entry)."""
         self._subscriptions.gone(name)
         entry = self._ports.pop(name, None)
@@ -260,10 +242,10 @@ class Registry:
 
     # -- asking --------------------------------------------------------------------------------------------------
 
-    def _query(self, command: _Command) -> list[Any]:
-        return self._described(command, _plain(command.word(1)))
+    def _query(self, command: Command) -> list[Any]:
+        return self._described(command, plain_name(command.word(1)))
 
-    def _described(self, command: _Command, name: str) -> list[Any]:
+    def _described(self, command: Command, name: str) -> list[Any]:
         """The answer about one port."""
         entry = self._ports.get(name)
         if command.bot:
@@ -272,31 +254,31 @@ class Registry:
             return [OLD, *line] if command.word(0) in ("register", "unregister") else line
         return [OLD, as_words(entry.contact)] if entry else [OLD]
 
-    def _list(self, command: _Command) -> list[Any]:
+    def _list(self, command: Command) -> list[Any]:
         prefix = command.word(1)
         inside = prefix if prefix.endswith("/") else prefix + "/"
         return self._shown(command, lambda name, _: not prefix or name == prefix or name.startswith(inside))
 
-    def _runners(self, command: _Command) -> list[Any]:
+    def _runners(self, command: Command) -> list[Any]:
         return self._shown(command, lambda _, entry: "true" in entry.properties.get("yarprun", ()))
 
-    def _shown(self, command: _Command, chosen: Callable[[str, Entry], bool]) -> list[Any]:
+    def _shown(self, command: Command, chosen: Callable[[str, Entry], bool]) -> list[Any]:
         entries = [e for e in self.entries() if chosen(e.contact.name, e)]
         if command.bot:
             return ["ports", *(as_bottle(e.contact) for e in entries)]
         return [OLD, *(as_words(e.contact) for e in entries)]
 
-    def _route(self, command: _Command) -> list[Any]:
+    def _route(self, command: Command) -> list[Any]:
         source, target = command.word(1), command.word(2)
         return [OLD, ["port", source, "route", target, "=", f"tcp:/{target}"]]
 
-    def _help(self, command: _Command) -> list[Any]:
+    def _help(self, command: Command) -> list[Any]:
         head = [] if command.bot else [OLD, "Here are some ways to use the name server:"]
         return [*head, *HELP]
 
     # -- properties ----------------------------------------------------------------------------------------------
 
-    def _set(self, command: _Command) -> list[Any]:
+    def _set(self, command: Command) -> list[Any]:
         entry, key = self._ports.get(command.word(1)), command.word(2)
         if entry is None:
             return command.head
@@ -308,7 +290,7 @@ class Registry:
             kept[key] = values
         return self._get(command)
 
-    def _get(self, command: _Command) -> list[Any]:
+    def _get(self, command: Command) -> list[Any]:
         name, key = command.word(1), command.word(2)
         entry = self._ports.get(name)
         if entry is None:
@@ -318,7 +300,7 @@ class Registry:
             return [as_value(v) for v in values]
         return [OLD, ["port", name, "property", key, "=", *values]]
 
-    def _check(self, command: _Command) -> list[Any]:
+    def _check(self, command: Command) -> list[Any]:
         name, key, value = command.word(1), command.word(2), command.word(3)
         entry = self._ports.get(name)
         if entry is None:
@@ -328,7 +310,7 @@ class Registry:
 
     # -- persistent connections and topics -------------------------------------------------------------------------
 
-    def _subscribe(self, command: _Command) -> list[Any]:
+    def _subscribe(self, command: Command) -> list[Any]:
         source, target, mode = (command.word(i) for i in (1, 2, 3))
         if not target:
             return self._subscriptions.listing(Contact.parse(source).name)
@@ -337,12 +319,12 @@ class Registry:
         command.wishes += wishes or ()
         return code(wishes is not None)
 
-    def _unsubscribe(self, command: _Command) -> list[Any]:
+    def _unsubscribe(self, command: Command) -> list[Any]:
         self._subscriptions.remove(command.word(1), command.word(2))
         command.changed = True
         return code(True)
 
-    def _announce(self, command: _Command) -> list[Any]:
+    def _announce(self, command: Command) -> list[Any]:
         name = command.word(1)
         alive = len(command.words) < 3 or command.words[2] != 0
         # one that does not respond is not forgotten for that: who could not reach it may be at fault
@@ -352,7 +334,7 @@ class Registry:
             command.changed = entry.announced = True
         return code(True)
 
-    def _topic(self, command: _Command) -> list[Any]:
+    def _topic(self, command: Command) -> list[Any]:
         if len(command.words) < 2:
             return list(self._subscriptions.topics())
         wishes = self._subscriptions.set_topic(command.word(1), command.word(2))
@@ -360,12 +342,12 @@ class Registry:
         command.wishes += wishes or ()
         return code(wishes is not None)
 
-    def _untopic(self, command: _Command) -> list[Any]:
+    def _untopic(self, command: Command) -> list[Any]:
         self._subscriptions.remove_topic(command.word(1))
         command.changed = True
         return code(True)
 
-    def _type(self, command: _Command) -> list[Any]:
+    def _type(self, command: Command) -> list[Any]:
         key = command.word(1), command.word(2)
         sane = all(len(command.word(i)) <= MAX_NAME for i in (1, 2, 3))
         if len(command.words) == 4 and sane and (key in self._types or len(self._types) < MAX_PORTS):
@@ -381,17 +363,8 @@ class Registry:
         return entry is not None and entry.contact.carrier != "topic"
 
 
-def _plain(name: str) -> str:
-    """A name without carrier and without the network that was asked for (``/net=eth0/p``)."""
-    name = Contact.parse(name).name if ":/" in name else name
-    if name[:5].lower() == "/net=" and "/" in name[5:]:
-        return name[name.index("/", 5) :]
-    return name
-
-
-def _wants_json(words: Sequence[Any]) -> bool:
-    """Whether a browser's request asks for json, which needs values instead of lines."""
-    return ["format", "json"] in words or ("format", "json") in itertools.pairwise(words)
+def _properties(state: Mapping[str, Any]) -> dict[str, list[str]]:
+    return {str(key): [str(value) for value in values] for key, values in state.items()}
 
 
 def _in_bytes(text: str) -> bytes:

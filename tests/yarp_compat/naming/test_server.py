@@ -118,6 +118,16 @@ def test_a_browser(server: NameServer, names: NameClient) -> None:
         assert page.read().startswith(b"body {")
 
 
+def test_another_network() -> None:
+    """Its name server's port has its name; a client is told of it, or finds it in the environment."""
+    with NameServer(port=low_port(), namespace="/lab", gc_seconds=0) as server:
+        names = NameClient(server.address, namespace="/lab")
+        assert names.contact == server.contact == names.query("/lab")
+        assert [c.name for c in names.list()] == ["/lab"]
+        assert connections.exists(names, "/lab")
+        assert names.query("/root") is None
+
+
 def test_a_taken_address(server: NameServer) -> None:
     """Two name servers at one address: the second says so, and the first goes on."""
     second = NameServer(port=server.address.port)
@@ -242,10 +252,12 @@ def test_memory(tmp_path: Path) -> None:
         names = NameClient(server.address)
         first = names.register("/p")
         names.set_property("/p", "key", "value")
+        names.set_property("/root", "network", "lab")
         names.command(["subscribe", "/p", "/q"])
     with NameServer(port=port, state=state) as server:
         assert names.query("/p") == first
         assert names.get_property("/p", "key") == ["value"]
+        assert names.get_property("/root", "network") == ["lab"]
         assert names.command(["subscribe"])[1:] == [["subscription", ["src", "/p"], ["dest", "/q"]]]
         assert names.register("/q").port == port + 3
         names.unregister("/p")
