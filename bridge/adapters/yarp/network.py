@@ -42,7 +42,7 @@ class YarpNetwork:
         self._section = section
         self._state = state / "yarp_names.json"
         self._address = address_of(section)
-        self.naming = NameClient(self._address, timeout=ASK_SECONDS)
+        self.naming = NameClient(self._address, namespace=section.namespace, timeout=ASK_SECONDS)
         self._server: NameServer | None = None
         self._silent_since: float | None = None
         self.identity: str | None = None
