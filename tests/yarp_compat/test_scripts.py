@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,9 +10,8 @@ import pytest
 
 import yarp_compat as yarp
 from tests.support.ports import free_port
+from tests.support.yarp_script import SCRIPTS, said, start
 from yarp_compat.naming.server import NameServer
-
-SCRIPTS = Path(__file__).parent / "scripts"
 
 OUTPUTS = {
     "ports": """
@@ -85,34 +81,12 @@ OUTPUTS = {
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    """A name server, and the variables with which programs find it."""
-    folder = tmp_path_factory.mktemp("yarp")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A name server, and the folder in which programs find where it is."""
+    made = tmp_path_factory.mktemp("yarp")
     with NameServer(port=free_port()) as server:
-        (folder / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")
-        yield {name: value for name, value in os.environ.items() if not name.startswith("YARP_")} | {
-            "YARP_CONFIG_HOME": str(folder),
-            "YARP_DATA_HOME": str(folder / "data"),
-            "YARP_DATA_DIRS": str(folder / "installed"),
-        }
-
-
-def start(environment: dict[str, str], script: str, *words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "yarp_compat", str(SCRIPTS / f"{script}.py"), *words],
-        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=environment["YARP_CONFIG_HOME"],
-    )  # fmt: skip
-
-
-def output(program: subprocess.Popen[str]) -> list[str]:
-    """What a program printed itself, at its end; the library's own lines begin with their level."""
-    try:
-        out, err = program.communicate(timeout=60)
-    except subprocess.TimeoutExpired:
-        program.kill()
-        out, err = program.communicate()
-    assert program.returncode == 0, f"{out}\n{err}"
-    return [line for line in out.splitlines() if not line.startswith("[")]
+        (made / "yarp.conf").write_text(f"{server.address.host} {server.address.port} yarp\n")
+        yield made
 
 
 def lines(text: str) -> list[str]:
@@ -120,36 +94,38 @@ def lines(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("script", OUTPUTS)
-def test_a_script_does_what_it_does_on_yarp(environment: dict[str, str], script: str) -> None:
-    assert output(start(environment, script)) == lines(OUTPUTS[script])
+def test_a_script_does_what_it_does_on_yarp(folder: Path, script: str) -> None:
+    assert said(start(script, folder)) == lines(OUTPUTS[script])
 
 
-def test_a_program_sends_and_another_prints(environment: dict[str, str]) -> None:
-    sender = start(environment, "send_bottles", "/send/bottles:o", "20")
-    printer = start(environment, "print_bottles", "/send/bottles:o", "20")
-    assert output(printer) == [f"/print/bottles:i: number {i}" for i in range(20)]
-    assert output(sender) == []
+def test_a_program_sends_and_another_prints(folder: Path) -> None:
+    sender = start("send_bottles", folder, "/send/bottles:o", "20")
+    printer = start("print_bottles", folder, "/send/bottles:o", "20")
+    assert said(printer) == [f"/print/bottles:i: number {i}" for i in range(20)]
+    assert said(sender) == []
 
 
-def test_a_program_asks_and_another_answers(environment: dict[str, str]) -> None:
-    server = start(environment, "rpc_server", "/rpc/server")
-    client = start(environment, "rpc_client", "/rpc/server")
-    assert output(client) == [
+def test_a_program_asks_and_another_answers(folder: Path) -> None:
+    server = start("rpc_server", folder, "/rpc/server")
+    client = start("rpc_client", folder, "/rpc/server")
+    assert said(client) == [
         "sum 1 2.5 3 -> True 6.5",
         "reverse a b c -> True (c b a)",
         "dance fast -> True unknown dance fast",
         "stop -> True [ok]",
     ]
-    assert output(server) == []
+    assert said(server) == []
 
 
-def test_resources_are_found(environment: dict[str, str], tmp_path: Path) -> None:
+def test_resources_are_found(folder: Path, tmp_path: Path) -> None:
     context = tmp_path / "contexts" / "kitchen"
     context.mkdir(parents=True)
     (context / "robot.ini").write_text("robot cer\nspeed 0.5\nmap plan.txt\n[LASER]\nport /laser\nrange (0.1 30.0)\n")
     (context / "plan.txt").touch()
-    found = start(environment | {"YARP_DATA_DIRS": str(tmp_path)}, "resources", "--speed", "0.75")
-    assert output(found) == [
+    found = start(
+        "resources", folder, "--speed", "0.75", YARP_DATA_DIRS=str(tmp_path), YARP_DATA_HOME=str(tmp_path / "own")
+    )
+    assert said(found) == [
         "robot cer",
         "period 0.1",
         "speed 0.75",
@@ -157,14 +133,14 @@ def test_resources_are_found(environment: dict[str, str], tmp_path: Path) -> Non
         "sonar True",
         f"map {context / 'plan.txt'}",
         "absent ''",
-        f"home {environment['YARP_DATA_HOME']}/contexts/kitchen",
+        f"home {tmp_path / 'own' / 'contexts' / 'kitchen'}",
     ]
 
 
 @pytest.mark.parametrize("end", ["quit", "signal"])
-def test_a_module_runs_and_stops(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    module = start(environment, "module", "--name", f"/{end}", "--step", "2", "--period", "0.01")
-    monkeypatch.setenv("YARP_CONFIG_HOME", environment["YARP_CONFIG_HOME"])
+def test_a_module_runs_and_stops(folder: Path, monkeypatch: pytest.MonkeyPatch, end: str) -> None:
+    module = start("module", folder, "--name", f"/{end}", "--step", "2", "--period", "0.01")
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(folder))
     rpc, reply = f"/{end}/rpc", yarp.Bottle()
     with yarp.Network():
         assert yarp.Network.waitPort(rpc, True)
@@ -177,7 +153,7 @@ def test_a_module_runs_and_stops(environment: dict[str, str], monkeypatch: pytes
             assert reply.toString() == "[bye]"
         else:
             module.send_signal(signal.SIGTERM)
-    assert output(module) == ["configured", "interrupted", "closed"]
+    assert said(module) == ["configured", "interrupted", "closed"]
 
 
 def test_every_script_is_run() -> None:
