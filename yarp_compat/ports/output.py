@@ -29,6 +29,7 @@ _STEP = 0.2
 _FAREWELL = 0.5
 """Seconds that a peer has to acknowledge the end of a connection."""
 _CHUNK = 1 << 16
+_ACKNOWLEDGEMENTS = {carriers.TCP: message.ACK, carriers.TEXT_ACK: b"<ACK>\r\n"}
 _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
 
 
@@ -291,7 +292,8 @@ class Output:
         Raises:
             TimeoutError: no reply by the deadline; the connection is closed, as the reply may still come.
             ConnectionError: the connection broke.
-            WireError: the reply is no Bottle, or above the limit; the connection is closed.
+            WireError: the reply is no Bottle, or above the limit, and the connection is closed; or there was none, only
+                an acknowledgement.
         """
         with self._lock:
             if self._driven:
@@ -312,8 +314,11 @@ class Output:
         except BaseException:
             self._fail()
             raise
-        self.counters.received += 1
         self._settle(item)
+        if reply is None:
+            msg = f"{self.route.target} acknowledged a request and did not reply to it"
+            raise WireError(msg)
+        self.counters.received += 1
         return reply
 
     def _check_time(self, deadline: float | None) -> None:
@@ -323,9 +328,13 @@ class Output:
             msg = f"no reply from {self.route.target} in time"
             raise TimeoutError(msg)
 
-    def _reply(self, watch: ReplyWatch, deadline: float | None) -> bytes:
+    def _reply(self, watch: ReplyWatch, deadline: float | None) -> bytes | None:
+        """Wait for the reply; None where the acknowledgement comes without one."""
         came: bytes | bytearray = self._came
-        while not (end := watch.end(came)):
+        acknowledgement = _ACKNOWLEDGEMENTS.get(self.carrier, b"\0")
+        while not came.startswith(acknowledgement):
+            if end := watch.end(came):
+                break
             if len(came) > self._limit + _CHUNK:
                 msg = f"a reply from {self.route.target} is larger than {self._limit} bytes"
                 raise WireError(msg)
@@ -343,6 +352,9 @@ class Output:
                 came += more
             else:
                 came = more
+        else:
+            self._came = bytes(came)
+            return None
         self.profile = watch.profile
         self._came = bytes(came[end:])
         return bytes(came[:end])

@@ -14,9 +14,11 @@ from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire import message
 from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
 
 BIG = 300_000
+HELLO = encode(["hello"], Profile.YARP3)
 
 
 class Slow:
@@ -175,6 +177,62 @@ def test_nonsense_in_place_of_an_acknowledgement(make_port: MakePort, slow: Slow
     assert slow.sock is not None
     slow.sock.sendall(b"certainly not")
     until(lambda: not writer.outputs(), "the connection is ended")
+
+
+def test_a_request_that_is_only_acknowledged(make_port: MakePort, slow: Slow) -> None:
+    """So do C++ readers that write no reply; the connection goes on."""
+    client = make_port("/c")
+    client.add_output("tcp://slow")
+    for _ in range(2):
+        threading.Timer(0.05, lambda: (slow.read(), slow.acknowledge())).start()
+        with pytest.raises(WireError, match="did not reply"):
+            client.request(HELLO, timeout=10)
+    threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(HELLO + message.ACK))).start()
+    assert client.request(HELLO, timeout=10) == HELLO
+
+
+@pytest.mark.parametrize("profile", list(Profile))
+def test_a_long_reply_in_pieces(make_port: MakePort, slow: Slow, profile: Profile) -> None:
+    """Its end is found as it comes, and its dialect."""
+    client = make_port("/c")
+    client.add_output("tcp://slow")
+    reply = encode([["text", 1.5, i, "x" * 100] for i in range(20_000)], profile)
+
+    def answer() -> None:
+        slow.read()
+        assert slow.sock is not None
+        for at in range(0, len(reply), 50_000):
+            slow.sock.sendall(reply[at : at + 50_000])
+        slow.acknowledge()
+
+    threading.Timer(0.05, answer).start()
+    assert client.request(HELLO, timeout=20) == reply
+    assert client.connections.outputs[0].profile is profile
+
+
+def test_where_a_reply_ends_may_be_told(make_port: MakePort, slow: Slow) -> None:
+    """Some replies of thrift servers are no Bottles."""
+    client = make_port("/c")
+    client.add_output("tcp://slow")
+    sent = b"\1\0\0\0\7\0\0\0" + message.ACK
+    threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(sent))).start()
+
+    def end(came: bytes) -> int:
+        if len(came) < 8:
+            raise Incomplete
+        return 8
+
+    assert client.request(HELLO, timeout=10, parse=end) == sent[:8]
+
+
+def test_a_reply_above_the_limit(make_port: MakePort, slow: Slow) -> None:
+    client = make_port("/c", limit=100_000)
+    client.add_output("tcp://slow")
+    reply = encode(["x" * 50_000, "y" * 100_000], Profile.YARP3)
+    threading.Timer(0.05, lambda: (slow.read(), slow.sock and slow.sock.sendall(reply))).start()
+    with pytest.raises(WireError, match="limit"):
+        client.request(HELLO, timeout=10)
+    assert client.outputs() == []
 
 
 def test_writers_of_many_threads(make_port: MakePort) -> None:
