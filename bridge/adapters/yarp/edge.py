@@ -128,7 +128,7 @@ class YarpEdge(Edge):
             self._stopping.wait(_SETTLE)
 
     def _turn(self) -> None:
-        started = time.monotonic()
+        started, peers = time.monotonic(), self._ports.peers()  # before the list, which then has them all
         contacts = self._network.look()
         if contacts is None:
             self._away = True
@@ -144,7 +144,7 @@ class YarpEdge(Edge):
             self._ports.mark_again()
         else:
             self._ports.mark_again(found)
-        self._graph.update(self._network.naming, contacts, self._ports.peers())
+        self._graph.update(self._network.naming, contacts, peers)
         self._presence.look(self._graph.contacts, started)
         self._follow()
         told, self._told = self._told, (self.network(), *self.endpoints())

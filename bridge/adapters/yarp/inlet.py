@@ -69,6 +69,14 @@ class Inlet:
         self._deliver = deliver
         self.release()
 
+    def waiting(self) -> set[str]:
+        """The peers, gone by now or not, of which a message is held."""
+        now = time.monotonic()
+        with self._lock:
+            for peer in [peer for peer, (since, _) in self._held.items() if now - since > HOLD_SECONDS]:
+                del self._held[peer]
+            return set(self._held)
+
     def release(self) -> None:
         """Look again at what is held: it may be known by now who sent it."""
         deliver = self._deliver

@@ -99,14 +99,19 @@ class OwnPorts:
     def inputs(self) -> list[tuple[PortPlan, list[str]]]:
         """The topics' own input ports, each with the ports that are connected to it."""
         return [
-            (own.plan, [route.source for route in own.core.inputs()])
+            (own.plan, sorted({route.source for route in own.core.inputs()} | own.inlet.waiting()))
             for own in list(self._own.values())
             if own.inlet is not None and own.plan.own
         ]
 
     def peers(self) -> set[str]:
-        """All ports that bring messages."""
-        return {route.source for own in list(self._own.values()) if own.inlet for route in own.core.inputs()}
+        """All ports that bring messages, or brought one that is held."""
+        found = set[str]()
+        for own in list(self._own.values()):
+            if own.inlet is not None:
+                found |= own.inlet.waiting()
+                found.update(route.source for route in own.core.inputs())
+        return found
 
     def is_ours(self, name: str) -> bool:
         """Whether this worker opened a port."""

@@ -77,15 +77,20 @@ def test_whoever_writes_to_a_topics_port_is_a_publisher(place: Place) -> None:
     place.far.drop(out)
 
 
-def test_the_first_message_of_a_new_writer_is_not_lost(place: Place) -> None:
-    """Who ``yarp write``s one line and leaves is heard too."""
+def test_who_writes_one_line_and_leaves_is_heard(place: Place) -> None:
+    """``echo hello | yarp write ... /midspan/once:i`` registers, writes and is gone before anybody asks who it was."""
     place.bridge({"topic": "/once", "type": "std_msgs/msg/String"})
-    heard = place.far.subscribe("/once", "std_msgs/String")
+    there = place.far.advertise("/dynamic", "std_msgs/String")
+    until(lambda: place.names.client.query("/midspan/dynamic:i"), "the input port")
     place.far.until_published("/once")
-    writer = place.port("/quick")
-    writer.write_to("/midspan/once:i")
-    writer.write(["only"])
-    assert place.far.wait(heard, 1, 5) == [{"data": "only"}]
+    for number, topic in enumerate(("/once", "/dynamic")):
+        heard = place.far.subscribe(topic, "std_msgs/String")
+        writer = place.port(f"/quick{number}")
+        writer.write_to(f"/midspan{topic}:i")
+        writer.write(["only"])
+        writer.stop()
+        assert place.far.wait(heard, 1, 5) == [{"data": "only"}]
+    place.far.drop(there)
 
 
 def test_a_line_of_text_drives(place: Place) -> None:
