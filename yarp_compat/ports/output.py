@@ -29,7 +29,10 @@ _STEP = 0.2
 _FAREWELL = 0.5
 """Seconds that a peer has to acknowledge the end of a connection."""
 _CHUNK = 1 << 16
-_ACKNOWLEDGEMENTS = {carriers.TCP: message.ACK, carriers.TEXT_ACK: b"<ACK>\r\n"}
+_ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
+    carriers.TCP: message.ACK,
+    carriers.TEXT_ACK: b"<ACK>\r\n",
+}
 _FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
 
 
@@ -331,7 +334,7 @@ class Output:
     def _reply(self, watch: ReplyWatch, deadline: float | None) -> bytes | None:
         """Wait for the reply; None where the acknowledgement comes without one."""
         came: bytes | bytearray = self._came
-        acknowledgement = _ACKNOWLEDGEMENTS.get(self.carrier, b"\0")
+        acknowledgement = _ACKNOWLEDGEMENTS.get(self.carrier, ())
         while not came.startswith(acknowledgement):
             if end := watch.end(came):
                 break
