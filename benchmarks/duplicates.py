@@ -1,9 +1,10 @@
 """What several real daemons on the same networks bring twice, and what they lose: both should be nothing.
 
 The cases: two daemons in a ring (both join the same ROS 1 and the same ROS 2 network) and a triangle of three networks,
-each with hubs that are joined and hubs that are not. All daemons of a case start in the same moment. Then a program on
-each network publishes unique numbers, and one on each other network counts what comes; rows hold the messages that came
-more than once and those that did not come, of all that were to come, beside the none that is allowed.
+each with hubs that are joined and nodes of one name, and with hubs that are not and nodes that are renamed. All daemons
+of a case start in the same moment. Then a program on each network publishes unique numbers, and one on each other
+network counts what comes; rows hold the messages that came more than once and those that did not come, of all that were
+to come, beside the none that is allowed.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from tests.interop.several import Several, flows, pour, ring, triangle
 
 CASES = {"ring": ring, "triangle": triangle}
 HUBS = {"joined": True, "apart": False}
+NODES = {"joined": "midspan", "apart": "bridge_of_ours"}
+"""Name of every second daemon's nodes: the same as the first's, or another one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def measure(case: str, hubs: str, messages: int, rate: float) -> list[Row]:
     """One case with so many messages published on all networks together."""
     with tempfile.TemporaryDirectory(prefix="midspan-duplicates-") as folder, Several(Path(folder)) as several:
-        _, networks = CASES[case](several, joined=HUBS[hubs])
+        _, networks = CASES[case](several, joined=HUBS[hubs], node=NODES[hubs])
         made = flows(several, networks)
         each = messages // len(made)
         pour(made, each, rate / len(made))

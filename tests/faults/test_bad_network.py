@@ -112,6 +112,21 @@ def test_what_waited_in_a_stalled_link_is_not_obeyed(link: Link) -> None:
     heard.wait("0.2", "1")
 
 
+def test_a_link_that_loses_delivers_nothing_late_and_all_the_rest(link: Link) -> None:
+    heard, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
+    until(mouth.matched, "the other topic")
+    link.proxy.loss = 0.05
+    words = [str(number) for number in range(10)]
+    for word in words:
+        mouth.put(word.encode())
+        link.command(0.2)
+    until(lambda: link.proxy.lost or link.command(0.1), "something is lost", 20)
+    link.proxy.loss = 0.0
+    until(link.drives, "commands get through", 20)
+    heard.wait(*words)
+    assert link.latest() < LATE
+
+
 def test_a_link_that_grows_slow_delivers_nothing_late(link: Link) -> None:
     for delay in (0.0, 0.05, 0.2, 0.5, 0.8):
         link.proxy.delay = delay

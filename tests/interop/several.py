@@ -290,14 +290,14 @@ def ring(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list
     return [first, second], networks
 
 
-def triangle(several: Several, *, joined: bool) -> tuple[list[Daemon], list[Network]]:
+def triangle(several: Several, *, joined: bool, node: str = "midspan") -> tuple[list[Daemon], list[Network]]:
     """Three networks, each two of them joined; by hubs of their own, or by hubs that are joined too."""
     one, two, three = several.ros1(), several.ros2(), several.ros1()
     first = several.daemon("one_two", one, two)
-    second = several.daemon("two_three", two, three, join=first if joined else None)
+    second = several.daemon("two_three", two, three, join=first if joined else None, node=node)
     # A daemon joins one ROS 1 network; the third side joins two, by two workers on one hub, as on two machines.
     third = several.daemon("one", one, join=first if joined else None)
-    fourth = several.daemon("three", three, join=third)
+    fourth = several.daemon("three", three, join=third, node=node)
     daemons = [first, second, third, fourth]
     several.start(*daemons)
     return daemons, [one, two, three]

@@ -32,9 +32,9 @@ def active(daemons: list[Daemon], side: str) -> list[str]:
     return [d.name for d in daemons if d.process is not None and d.status(side).get("state") == "running"]
 
 
-@pytest.mark.parametrize("joined", [True, False], ids=["joined", "apart"])
-def test_a_triangle_brings_nothing_twice(several: Several, joined: bool) -> None:
-    _, networks = triangle(several, joined=joined)
+@pytest.mark.parametrize(("joined", "node"), [(True, "midspan"), (False, "other_name")], ids=["joined", "apart"])
+def test_a_triangle_brings_nothing_twice(several: Several, joined: bool, node: str) -> None:
+    _, networks = triangle(several, joined=joined, node=node)
     carry(flows(several, networks), COUNT, RATE / 2)
 
 

@@ -1,8 +1,9 @@
-"""A TCP proxy that is a bad network: it stalls, delays, slows down, goes half-open, and cuts connections."""
+"""A TCP proxy that is a bad network: it loses, stalls, delays, slows down, goes half-open, and cuts connections."""
 
 from __future__ import annotations
 
 import contextlib
+import random
 import select
 import socket
 import threading
@@ -12,6 +13,8 @@ from types import TracebackType
 from typing import Self
 
 TICK = 0.005
+RETRANSMISSION = 0.2
+"""Seconds after which Linux sends a lost piece again at the earliest (TCP_RTO_MIN)."""
 BUFFER = 64 << 10
 """Bytes under way in one direction, as on a network of short queues."""
 
@@ -22,6 +25,9 @@ class FaultProxy:
     Attributes:
         port: where it listens on 127.0.0.1.
         delay: seconds that every byte takes more.
+        loss: share of the pieces that are lost; as TCP sends them again, they come `RETRANSMISSION` late, and hold up
+            all that is behind them.
+        lost: pieces that were.
         rate: bytes a second and direction, None for as many as will.
         frozen: directions in which nothing moves; connections stay, and new ones are accepted.
     """
@@ -30,7 +36,8 @@ class FaultProxy:
         self._to = to
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
-        self.delay = 0.0
+        self.delay = self.loss = 0.0
+        self.lost = 0
         self.rate: float | None = None
         self.frozen: frozenset[str] = frozenset()
         self._open = True
@@ -102,7 +109,11 @@ class FaultProxy:
                     data = source.recv(4096)
                     if not data:
                         return
-                    waiting.append((time.monotonic() + self.delay, data))
+                    again = 0.0
+                    if random.random() < self.loss:
+                        self.lost += 1
+                        again = RETRANSMISSION
+                    waiting.append((time.monotonic() + self.delay + again, data))
                     held += len(data)
                 elif held >= BUFFER:
                     time.sleep(TICK)
