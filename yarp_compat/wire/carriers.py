@@ -20,9 +20,9 @@ class CarrierError(WireError):
     """A carrier of YARP that is not offered here; the text names it, and those that are."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Carrier:
-    """One way of carrying messages.
+    """One way of carrying messages; there is one object of each.
 
     Attributes:
         name: as in ``tcp://port``.
