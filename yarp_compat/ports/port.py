@@ -299,6 +299,9 @@ class PortCore:
             self._drop_output(output)
         try:
             carrier, qualifiers = carriers.parse(place.carrier or found.carrier or "tcp")
+            if qualifiers:
+                told = "port %s: of %s only what the peer is to do is done: messages leave as they are"
+                _log.warning(told, self.name, place.carrier)
             self._connect(found, carrier, qualifiers, Route(self.name, name, carrier.name))
         except (OSError, WireError) as error:
             _log.warning("port %s cannot connect to %s: %s", self.name, target, error)

@@ -323,12 +323,14 @@ def test_what_cannot_be_connected(
         assert "not offered here; use one of tcp, fast_tcp" in caplog.text
 
 
-def test_qualifiers_are_told(make_port: MakePort) -> None:
+def test_qualifiers_are_told(make_port: MakePort, caplog: pytest.LogCaptureFixture) -> None:
     reader = make_port("/r", Reader())
     writer = make_port("/w")
     assert writer.add_output("tcp+recv.portmonitor+type.dll://r")[0]
     assert writer.write(HELLO, wait=True, timeout=10) == 1
     assert reader.inputs() == [Route("/w", "/r", "tcp")]
+    assert "/w asks for (recv portmonitor) (type dll), which is not offered here" in caplog.text
+    assert "messages leave as they are" in caplog.text
 
 
 def test_local_is_for_one_process(make_port: MakePort, naming: LocalNaming) -> None:
