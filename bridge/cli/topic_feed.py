@@ -181,6 +181,6 @@ def add_feed_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--side",
         metavar="SIDE",
-        help="only what comes from this side: ros1, ros2, zenoh (made on the hub itself), zenoh_ros2dds, zenoh_ros1 or"
-        " zenoh_json",
+        help="only what comes from this side: ros1, ros2, yarp, zenoh (made on the hub itself), zenoh_ros2dds,"
+        " zenoh_ros1 or zenoh_json",
     )

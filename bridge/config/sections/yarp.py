@@ -89,7 +89,7 @@ class Topic(Section):
     @classmethod
     def _fields_are_fields(cls, value: tuple[int | float | str, ...]) -> tuple[int | float | str, ...]:
         for entry in value:
-            if isinstance(entry, bool) or (isinstance(entry, str) and not _ENTRY.fullmatch(entry)):
+            if isinstance(entry, str) and not _ENTRY.fullmatch(entry):
                 msg = f"{entry!r} is no field: write linear.x, deg(angular.z), position[0], a number, or 'a text'"
                 raise ValueError(msg)
         return value

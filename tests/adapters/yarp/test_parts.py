@@ -1,0 +1,77 @@
+"""Parts of the YARP side that need no network."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.adapters.yarp import environment
+from bridge.adapters.yarp.names import PortNames
+from bridge.adapters.yarp.stamps import envelope, on_system_clock, stamp
+from bridge.config.model import Config
+from bridge.daemon.workers import worker_kinds
+
+
+@given(st.integers(1, 1 << 61), st.integers(0, 10**9))
+def test_stamps_there_and_back(stamp_ns: int, count: int) -> None:
+    assert stamp(envelope(count, stamp_ns)) == stamp_ns
+
+
+@pytest.mark.parametrize(
+    ("text", "stamp_ns"),
+    [
+        ("3580 1795143618.02289", 1_795_143_618_022_890_000),
+        ("7 12", 12_000_000_000),
+        ("1 1.5e9", 1_500_000_000_000_000_000),
+        ("", None),
+        ("hello", None),
+        ("1 nan", None),
+        ("1 -5.0", None),
+        ("1 0.0", None),
+        ("1 1e99", None),
+        ("(1 2) 3", None),
+    ],
+)
+def test_envelopes_of_others(text: str, stamp_ns: int | None) -> None:
+    assert stamp(text) == stamp_ns
+
+
+@given(st.text(max_size=40))
+def test_any_envelope_is_read(text: str) -> None:
+    stamp(text)
+
+
+def test_times_of_a_simulation_are_no_system_time() -> None:
+    assert on_system_clock(12_000_000_000) is None
+    assert on_system_clock(now := time.time_ns()) == now
+    assert envelope(1, None) == envelope(1, 0) == ""
+
+
+def test_names_of_ports() -> None:
+    names = PortNames("/midspan{topic}:o", "/robot/in{topic}", "r1")
+    assert names.output("/camera/image") == "/midspan/camera/image:o"
+    assert names.input_from("/scan", "/laser:o") == "/robot/in/scan/from/laser:o"
+    assert names.spare(names.output("/scan")) == "/midspan/r1/scan:o"
+    assert names.spare(names.input("/scan")) == "/robot/in/r1/scan"
+    assert names.may_be("/midspan/scan:o")
+    assert not names.may_be("/other/scan:o")
+
+
+def test_the_worker_runs_where_yarp_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("YARP_NAMESPACE", raising=False)
+    kind = worker_kinds({})["yarp"]
+    unused, said = Config(), Config.model_validate({"yarp": {"poll": 1}})
+    assert "YARP is not used here" in environment.available(unused)
+    assert kind.enabled(unused) is False
+    assert kind.enabled(Config.model_validate({"yarp": {"enabled": True}})) is True
+    assert kind.enabled(said) == "auto"
+    assert environment.available(said) == ""
+    (tmp_path / "yarp.conf").write_text("127.0.0.1 10000 yarp\n")
+    assert kind.enabled(unused) == "auto"
+    named = Config.model_validate({"yarp": {"namespace": "/lab"}})
+    assert kind.child_environment(named, {})["YARP_NAMESPACE"] == "/lab"
