@@ -1,9 +1,8 @@
 """YARP ports against bare sockets that move the same bytes: RPC and streams over tcp and fast_tcp on loopback.
 
 Two processes, nothing else between them. The bare sockets know how many bytes to expect and look at none; ours read
-what the messages say. Rounds of both take turns; each figure is the median of the rounds' medians.
-
-    python -m benchmarks.yarp_ports [--json FILE] [--rounds N]
+what the messages say. Rounds of both take turns. Each figure is the median over the rounds: of a round's median round
+trip, or of a stream's time for each message, from the first byte until the other process has the last.
 """
 
 from __future__ import annotations
@@ -14,9 +13,12 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.rows import Row, add_json_option, report
 from yarp_compat.ports.message import Message
@@ -87,7 +89,7 @@ def _serve_bare() -> None:
 
 @contextmanager
 def _process(role: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    command = [sys.executable, "-m", "benchmarks.yarp_ports", "--serve", role]
+    command = [sys.executable, __file__, "--serve", role]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdin is not None
@@ -111,17 +113,17 @@ class Ours:
         done, told = self._port.add_output(f"{carrier}://peer")
         assert done, told
 
-    def round_trips(self) -> float:
+    def round_trips(self, count: int) -> float:
         """The median round trip, in microseconds."""
-        return _median(lambda: self._port.request(_NUMBERS, timeout=5), _REQUESTS)
+        return _median(lambda: self._port.request(_NUMBERS, timeout=5), count)
 
-    def stream(self, stream: Stream) -> float:
+    def stream(self, stream: Stream, count: int) -> float:
         """Microseconds for each message of a stream."""
         start = time.perf_counter()
-        for _ in range(stream.count):
+        for _ in range(count):
             self._port.write(stream.payload, wait=True)
         self._port.request(_EMPTY, timeout=5)
-        return (time.perf_counter() - start) / stream.count * 1e6
+        return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
         """End it."""
@@ -147,22 +149,22 @@ class Bare:
         while reply:
             reply -= len(self._sock.recv(reply))
 
-    def round_trips(self) -> float:
+    def round_trips(self, count: int) -> float:
         """The median round trip, in microseconds."""
         request, reply = message.prefix(len(_NUMBERS), "d") + _NUMBERS, len(_NUMBERS) + self._ack
-        self._expect(len(request), _REQUESTS, reply)
-        return _median(lambda: self._call(request, reply), _REQUESTS)
+        self._expect(len(request), count, reply)
+        return _median(lambda: self._call(request, reply), count)
 
-    def stream(self, stream: Stream) -> float:
+    def stream(self, stream: Stream, count: int) -> float:
         """Microseconds for each message of a stream."""
         sent = message.prefix(len(stream.payload)) + stream.payload
-        self._expect(len(sent), stream.count, self._ack)
+        self._expect(len(sent), count, self._ack)
         self._expect(len(_BARRIER), 1, len(_EMPTY) + self._ack)
         start = time.perf_counter()
-        for _ in range(stream.count):
+        for _ in range(count):
             self._call(sent, self._ack)
         self._call(_BARRIER, len(_EMPTY) + self._ack)
-        return (time.perf_counter() - start) / stream.count * 1e6
+        return (time.perf_counter() - start) / count * 1e6
 
     def close(self) -> None:
         """End it."""
@@ -178,38 +180,41 @@ def _median(call: Callable[[], object], times: int) -> float:
     return statistics.median(taken) * 1e6
 
 
-def _rows(carrier: str, rounds: int) -> list[Row]:
+def _rows(carrier: str, rounds: int, share: float) -> list[Row]:
     with _process("port") as (_, ours_at), _process("bare") as (process, bare_at):
         ours, bare = Ours(ours_at, carrier), Bare(process, bare_at, carrier)
-        cases: list[tuple[str, Callable[[], float], Callable[[], float]]] = [
-            (f"RPC of 10 numbers, {carrier}", ours.round_trips, bare.round_trips)
-        ]
-        for stream in _STREAMS:
-            case = f"{stream.name}, {carrier}"
-            cases.append((case, lambda s=stream: ours.stream(s), lambda s=stream: bare.stream(s)))  # type: ignore[misc]
+
+        def both(stream: Stream | None) -> tuple[float, float]:
+            count = max(2, round((stream.count if stream else _REQUESTS) * share))
+            if stream is None:
+                return ours.round_trips(count), bare.round_trips(count)
+            return ours.stream(stream, count), bare.stream(stream, count)
+
         rows = []
-        for case, ours_once, bare_once in cases:
-            both = [(ours_once(), bare_once()) for _ in range(rounds)]
-            mine, theirs = (statistics.median(column) for column in zip(*both, strict=True))
-            rows.append(Row(case, mine, theirs, "us"))
+        for stream in (None, *_STREAMS):
+            figures = [both(stream) for _ in range(rounds)]
+            mine, theirs = (statistics.median(column) for column in zip(*figures, strict=True))
+            rows.append(Row(f"{stream.name if stream else 'RPC of 10 numbers'}, {carrier}", mine, theirs, "us"))
         ours.close()
         bare.close()
         return rows
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--share", type=float, default=1.0, help="of the messages of a round: below 1 is quicker")
     parser.add_argument("--serve", choices=["port", "bare"], help=argparse.SUPPRESS)
     add_json_option(parser)
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     if options.serve == "port":
         _serve_port()
     elif options.serve == "bare":
         _serve_bare()
     else:
-        report([row for carrier in ("tcp", "fast_tcp") for row in _rows(carrier, options.rounds)], options.json)
+        carriers = ("tcp", "fast_tcp")
+        report([row for carrier in carriers for row in _rows(carrier, options.rounds, options.share)], options.json)
 
 
 if __name__ == "__main__":

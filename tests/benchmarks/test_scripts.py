@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import flood, many_topics, transcode
+from benchmarks import flood, many_topics, transcode, yarp_ports
 
 
 def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
@@ -35,3 +35,11 @@ def test_transcode_compares_both_ways(case: str) -> None:
     rows = transcode.measure_case(case, name, values, rounds=1)
     assert {row.case.split(", ")[1] for row in rows} >= {"ROS 1 to CDR", "CDR to ROS 1"}
     assert len(rows) == (4 if case == "Image 1 MB" else 2)
+
+
+def test_yarp_ports_beside_bare_sockets(tmp_path: Path) -> None:
+    file = tmp_path / "rows.json"
+    yarp_ports.main(["--rounds", "1", "--share", "0.02", "--json", str(file)])
+    rows = json.loads(file.read_text())
+    assert len(rows) == 8
+    assert all(row["ours"] > 0 and row["peer"] > 0 for row in rows)
