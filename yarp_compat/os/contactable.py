@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import threading
 import weakref
 from collections.abc import Callable
@@ -73,6 +74,7 @@ class Contactable:
         """The name to register; None where it is not one."""
         if name in ("", "..."):
             return name
+        name = os.environ.get("YARP_PORT_PREFIX", "") + name
         nested = NestedName.parse(name)
         if self._in_node or (nested.is_nested and not nested.node):
             from yarp_compat.os.node import active_node  # a node is itself a port

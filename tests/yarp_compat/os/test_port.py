@@ -267,6 +267,11 @@ def test_names_that_cannot_be(caplog: pytest.LogCaptureFixture) -> None:
     assert yarp.Port().where().getPort() == -1
 
 
+def test_names_may_have_a_prefix(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("YARP_PORT_PREFIX", "/sim")
+    assert opened(name="/camera").getName() == "/sim/camera"
+
+
 def test_what_a_port_tells_of_itself() -> None:
     told: list[str] = []
 
