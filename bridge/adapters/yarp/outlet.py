@@ -18,7 +18,6 @@ from bridge.messages.yarp.contents import Content
 from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.message import Payload
 from yarp_compat.ports.port import PortCore
-from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.profile import Profile
 
 
@@ -118,10 +117,7 @@ class TopicOutput:
             return contents.codec(outlet.content, side.name, side.type_id, profile).to_yarp(cdr).payload
 
         stamp = envelope(number, stamp_of(cdr)) if self._stamped else ""
-        try:
-            outlet.core.write(payload, stamp, strict=strict, chosen=chosen)
-        except WireError as err:
-            raise MessageError(f"{outlet.core.name}: {err}") from None
+        outlet.core.write(payload, stamp, strict=strict, chosen=chosen)
 
     @property
     def lock(self) -> threading.RLock:

@@ -222,3 +222,16 @@ def test_a_type_that_yarp_cannot_say_is_explained(place: Place) -> None:
     assert "has no field 'nothing'" in line[0]["why"]
     assert line[0]["cure"]
     out.close()
+
+
+def test_a_reader_by_text_of_what_has_no_text_harms_no_other(place: Place) -> None:
+    """A point cloud is no Bottle: who reads by a text carrier gets nothing, and the rest everything."""
+    place.bridge(yarp={"as": "natural"})
+    cloud = {"width": 1, "height": 1, "point_step": 16, "row_step": 16, "data": [0] * 16, "fields": [
+        {"name": a, "offset": 4 * n, "datatype": 7, "count": 1} for n, a in enumerate("xyz")]}  # fmt: skip
+    out = place.far.advertise("/cloud", "sensor_msgs/PointCloud2")
+    text, binary = place.port("/text"), place.port("/binary")
+    binary.listen_to("/midspan/cloud:o")
+    until(lambda: _connect(place, "/midspan/cloud:o", "text://text"), "a reader by text")
+    place.far.hub_publish_until(out, cloud, lambda: binary.messages(1, 0.2))
+    assert text.messages(1, 0.3) == []
