@@ -20,6 +20,9 @@ from yarp_compat.ports.message import Payload
 from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.profile import Profile
 
+_QUEUE = 10
+"""Depth from which a stream waits for a slow reader; a rule that gives less wants it fresh rather than complete."""
+
 
 @dataclass(frozen=True, slots=True)
 class Outlet:
@@ -80,14 +83,19 @@ class TopicOutput:
             for output in outlet.core.connections.outputs
         )
 
-    def write(self, cdr: bytes, *, command: bool) -> None:
-        """Publish on all ports; raises the last `ConversionError` where a content cannot say it."""
+    def write(self, cdr: bytes, *, command: bool = False, strict: bool = True) -> None:
+        """Publish on all ports; raises the last `ConversionError` where a content cannot say it.
+
+        Args:
+            cdr: the message.
+            command: a reader that is busy with the last one misses this one, so that none waits behind another.
+            strict: a reader that is busy gets it later; else the newest alone.
+        """
         failure: MessageError | None = None
         number = next(self._numbers)
         for outlet in self._outlets:
             try:
-                # A command waits behind nothing: a peer that is busy with the last one misses it.
-                self._write(outlet, cdr, number, _idle if command else None, strict=not command)
+                self._write(outlet, cdr, number, _idle if command else None, strict=strict and not command)
             except MessageError as err:
                 failure = err
         if failure is not None:
@@ -131,6 +139,7 @@ class TopicPublisher:
     def __init__(self, output: TopicOutput, qos: Qos, closed: Callable[[TopicPublisher], None]) -> None:
         self.output = output
         self._latched, self._command = qos.latched, not qos.latched and qos.depth == 1
+        self._strict = qos.depth >= _QUEUE
         self._kept = Kept(qos.depth)
         self._closed = closed
 
@@ -146,11 +155,11 @@ class TopicPublisher:
     def send(self, payload: bytes, source: str) -> None:
         """See `EdgePublisher.send`."""
         if not self._latched:
-            self.output.write(payload, command=self._command)
+            self.output.write(payload, command=self._command, strict=self._strict)
             return
         with self.output.lock:
             self._kept.add(payload, source)
-            self.output.write(payload, command=False)
+            self.output.write(payload)
 
     def forget(self, source: str) -> None:
         """See `EdgePublisher.forget`."""

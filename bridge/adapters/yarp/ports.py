@@ -293,13 +293,8 @@ class OwnPorts:
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
-    def clear(self) -> None:
-        """Close all ports."""
-        owns = list(self._own.values())
-        self._own.clear()
-        self._close(owns)
-
-    def _close(self, owns: list[Own]) -> None:
+    def _close(self, owns: list[Own]) -> bool:
+        """Close ports, all at once; False where that takes too long, and goes on without us."""
         self._taken -= {own.core.name for own in owns}
         for own in owns:
             if own.output is not None:
@@ -313,11 +308,14 @@ class OwnPorts:
                 end.result(max(0.0, deadline - time.monotonic()))
             except TimeoutError:
                 _log.warning("closing ports takes long; they are left to themselves")
-                return
+                return False
             except Exception:
                 _log.exception("closing a port failed")
+        return True
 
     def stop(self) -> None:
         """Close everything."""
-        self.clear()
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        owns = list(self._own.values())
+        self._own.clear()
+        done = self._close(owns)
+        self._pool.shutdown(wait=done, cancel_futures=True)
