@@ -1,0 +1,28 @@
+"""The examples of docs/yarp_values.md, and its table of texts."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from yarp_compat.wire.text import from_text
+
+PAGE = (Path(__file__).parents[2] / "docs" / "yarp_values.md").read_text(encoding="utf-8")
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.mark.parametrize("code", EXAMPLES, ids=range(len(EXAMPLES)))
+def test_the_examples_run(code: str) -> None:
+    exec(compile(code, "docs/yarp_values.md", "exec", dont_inherit=True), {"__name__": "example"})
+
+
+def test_the_surprising_texts() -> None:
+    """What the table says in words."""
+    said = re.findall(r"^\| (`.*?`) \|", PAGE.split("## Text")[1].split("Printed")[0], re.MULTILINE)
+    words = [from_text(text) for row in said for text in re.findall(r"`([^`]*)`", row)]
+    assert words == [
+        ["hello", "world"], ["1.2.3"], ["1_000"], ["+inf"], [0], [1], [2026], [8], [0.0], [9223372036854775807], [31],
+        [False, "b]"], ["'x", "y'"], [], ["abc def"], ["a\nb"],
+    ]  # fmt: skip
