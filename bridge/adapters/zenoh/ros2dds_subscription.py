@@ -63,9 +63,8 @@ class LatchedSubscription(KeySubscription):
         """A live sample: it waits while its session is asked."""
         zid = sender(sample)
         with self._asking:
-            held = self._held.setdefault(zid, [])
-            if self._asked[zid] and len(held) < _MAX_HELD:
-                held.append((sample, source))
+            if self._asked[zid] and len(self._held.get(zid, ())) < _MAX_HELD:
+                self._held.setdefault(zid, []).append((sample, source))
             else:
                 self._deliver(sample, source)
 
