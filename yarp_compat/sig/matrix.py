@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from yarp_compat.sig.numbers import read_numbers, write_numbers
+from yarp_compat.sig.numbers import as_array, read_numbers, write_numbers
 from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
@@ -45,12 +45,7 @@ class Matrix(Portable):
         return self._values
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        if dtype is not None and np.dtype(dtype) != _FLOAT64:
-            if copy is False:
-                msg = f"a matrix of doubles is no array of {dtype} without a copy"
-                raise ValueError(msg)
-            return self._values.astype(dtype)
-        return self._values.copy() if copy else self._values
+        return as_array(self._values, dtype, copy)
 
     def rows(self) -> int:
         """How many rows there are."""

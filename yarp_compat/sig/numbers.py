@@ -26,6 +26,20 @@ def tag_of(dtype: np.dtype[Any], profile: Profile) -> int:
     return _TAGS[profile][dtype]
 
 
+def as_array(values: NDArray[Any], dtype: Any, copy: bool | None) -> NDArray[Any]:
+    """An array of these values as numpy asks for one: of another type, or with memory of its own.
+
+    Raises:
+        ValueError: that needs a copy, which was forbidden.
+    """
+    if dtype is not None and np.dtype(dtype) != values.dtype:
+        if copy is False:
+            msg = f"numbers of {values.dtype} are no array of {np.dtype(dtype)} without a copy"
+            raise ValueError(msg)
+        return values.astype(dtype)
+    return values.copy() if copy else values
+
+
 def write_numbers(out: Writer, values: NDArray[Any]) -> None:
     """A list of numbers, one after another in memory, which are passed on uncopied where they are many."""
     out.begin(values.size, tag_of(values.dtype, out.profile))

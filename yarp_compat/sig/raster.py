@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from yarp_compat.sig.numbers import as_array
 from yarp_compat.sig.pixels import Format, PixelCode, format_of
 from yarp_compat.sig.vector import VectorOf
 from yarp_compat.wire.message import Buffer
@@ -49,13 +50,7 @@ class Raster:
         return np.ndarray(shape, form.dtype, self._memory, 0, strides)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        pixels = self.numpy()
-        if dtype is not None and np.dtype(dtype) != pixels.dtype:
-            if copy is False:
-                msg = f"pixels of {pixels.dtype} are no array of {dtype} without a copy"
-                raise ValueError(msg)
-            return pixels.astype(dtype)
-        return pixels.copy() if copy else pixels
+        return as_array(self.numpy(), dtype, copy)
 
     def width(self) -> int:
         """Pixels in a row."""

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.sig.numbers import read_numbers, tag_of, write_numbers
+from yarp_compat.sig.numbers import as_array, read_numbers, tag_of, write_numbers
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reader import Reader
@@ -57,13 +57,7 @@ class VectorOf(Portable):
         return self._room[: self._count]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        values = self.numpy()
-        if dtype is not None and np.dtype(dtype) != values.dtype:
-            if copy is False:
-                msg = f"a vector of {values.dtype} is no array of {dtype} without a copy"
-                raise ValueError(msg)
-            return values.astype(dtype)
-        return values.copy() if copy else values
+        return as_array(self.numpy(), dtype, copy)
 
     def size(self) -> int:
         """How many elements there are."""

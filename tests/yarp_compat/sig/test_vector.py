@@ -114,6 +114,10 @@ def test_numpy_shares_the_memory() -> None:
     vector.numpy()[1] = 6
     assert np.asarray(vector).tolist() == [5, 6, 2]
     assert np.array(vector, dtype=np.float32).dtype == np.float32
+    for value in (vector, Matrix(1, 2)):
+        assert not np.shares_memory(np.array(value, copy=True), value.numpy())
+        with pytest.raises(ValueError, match="without a copy"):
+            value.__array__(np.float32, copy=False)
     assert vector_of(np.uint8) is VectorUInt8
     with pytest.raises(TypeError):
         vector_of(complex)
