@@ -18,6 +18,7 @@ from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
 from tests.contract.yarpside import YarpBridge
+from tests.support.exchange import exchange, until_all_hear
 from tests.support.ports import free_port
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
@@ -144,28 +145,12 @@ def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs
         if hubs == "two hubs":
             far.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
-            at_far = [end.subscribe("/both", STRING) for end in far]
-            from_far = [end.advertise("/both", STRING) for end in far]
-            _until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
-            for number in range(20):
-                program.publish(out, {"data": f"program {number}"})
-                for which, (end, sender) in enumerate(zip(far, from_far, strict=True)):
-                    end.publish(sender, {"data": f"far {which} {number}"})
-            from_program = [f"program {n}" for n in range(20)]
-            from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
-            until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything", 20)
-            for end, subscription in zip(far, at_far, strict=True):
-                until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything", 20)
-            got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
-            assert got == sorted(from_hubs + from_program)
-            for end, subscription in zip(far, at_far, strict=True):
-                got = sorted(m["data"] for m in end.wait(subscription, 10_000, 0.2) if m["data"].startswith("program"))
-                assert got == sorted(from_program)
+            from_far = exchange(program, out, heard, far)
             if hubs == "one hub":  # whoever stands by takes over
                 states = [bridge.crossing.health().state for bridge in (first, second)]
                 assert sorted(states) == ["running", "standby"]
                 (first, second)[states.index("running")].stop()
-                _until_all_hear(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
+                until_all_hear(program, out, heard, [(far[0], from_far[0], far[0].subscribe("/both", STRING))])
             else:
                 names = {c.name for c in place.names.client.list("/midspan")}
                 assert {"/midspan/both:o"} < {n for n in names if n.endswith("/both:o")}
@@ -178,21 +163,3 @@ def test_several_daemons_loop_nothing_and_bring_nothing_twice(place: Place, hubs
 def _second(place: Place, hub: dict[str, Any], state: Path) -> Any:
     config = json.loads(place.config("two").model_dump_json(by_alias=True))
     return YarpBridge(type(place.config()).model_validate({**config, "hub": hub, "state": str(state)}))
-
-
-def _texts(end: Any, heard: int) -> set[str]:
-    return {m["data"] for m in end.wait(heard, 1, 0.1)}
-
-
-def _until_all_hear(program: Any, out: int, heard: int, far: list[tuple[HubSide, int, int]]) -> None:
-    """Until a new probe of the program is at every hub, and one of every hub at the program."""
-    mark = f"probe {len(program.wait(heard, 0))}"
-
-    def once() -> bool:
-        program.publish(out, {"data": mark})
-        for which, (end, sender, _) in enumerate(far):
-            end.publish(sender, {"data": f"{mark} {which}"})
-        there = all(mark in _texts(end, subscription) for end, _, subscription in far)
-        return there and {f"{mark} {which}" for which in range(len(far))} <= _texts(program, heard)
-
-    until(once, "probes cross", 30)

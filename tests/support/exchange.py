@@ -1,0 +1,56 @@
+"""What a program of a side and one or two hubs say to each other through two daemons, and that it comes once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from tests.contract.hubside import HubSide
+from tests.support.wait import until
+
+STRING = "std_msgs/String"
+
+
+def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list[int]:
+    """Have all say twenty things on ``/both``; everybody hears each once, and nothing of his own comes back.
+
+    Returns:
+        the hubs' publishers.
+    """
+    at_far = [end.subscribe("/both", STRING) for end in far]
+    from_far = [end.advertise("/both", STRING) for end in far]
+    until_all_hear(program, out, heard, list(zip(far, from_far, at_far, strict=True)))
+    for number in range(20):
+        program.publish(out, {"data": f"program {number}"})
+        for which, (end, sender) in enumerate(zip(far, from_far, strict=True)):
+            end.publish(sender, {"data": f"far {which} {number}"})
+    from_program = [f"program {n}" for n in range(20)]
+    from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
+    until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything", 20)
+    for end, subscription in zip(far, at_far, strict=True):
+        until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything", 20)
+    got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
+    # the programs of one network hear each other, themselves among them
+    assert got == sorted(from_hubs + from_program)
+    for end, subscription in zip(far, at_far, strict=True):
+        got = sorted(m["data"] for m in end.wait(subscription, 10_000, 0.2) if m["data"].startswith("program"))
+        assert got == sorted(from_program)
+    return from_far
+
+
+def _texts(end: Any, heard: int) -> set[str]:
+    return {m["data"] for m in end.wait(heard, 1, 0.1)}
+
+
+def until_all_hear(program: Any, out: int, heard: int, far: list[tuple[HubSide, int, int]]) -> None:
+    """Until a new probe of the program is at every hub, and one of every hub at the program."""
+    mark = f"probe {len(program.wait(heard, 0))}"
+
+    def once() -> bool:
+        program.publish(out, {"data": mark})
+        for which, (end, sender, _) in enumerate(far):
+            end.publish(sender, {"data": f"{mark} {which}"})
+        there = all(mark in _texts(end, subscription) for end, _, subscription in far)
+        return there and {f"{mark} {which}" for which in range(len(far))} <= _texts(program, heard)
+
+    until(once, "probes cross", 30)
