@@ -28,6 +28,11 @@ class Command:
         """A word of it as text; empty where there are fewer."""
         return plain_text(self.words[index]) if index < len(self.words) else ""
 
+    def name(self, index: int) -> str:
+        """A word of it that is a string; empty where it is anything else (a browser's request has lists behind)."""
+        value = self.words[index] if index < len(self.words) else ""
+        return str(value) if isinstance(value, str) else ""
+
     @property
     def head(self) -> list[Any]:
         """How an answer begins that says nothing."""

@@ -176,7 +176,7 @@ class Registry:
         if contact is None or len(self._ports) >= MAX_PORTS:
             return [OLD]
         self._ports[contact.name] = Entry(contact, self._clock())
-        type_name = command.word(5)
+        type_name = command.name(5)
         if type_name and type_name != "*":
             self._ports[contact.name].properties["type"] = [type_name]
         command.changed = True
@@ -186,7 +186,8 @@ class Registry:
 
     def _asked(self, command: Command) -> Contact | None:
         """The contact as far as the command says it; None where it cannot be registered."""
-        name, carrier, host, number = (command.word(i) for i in (1, 2, 3, 4))
+        name, carrier, host = (command.name(i) for i in (1, 2, 3))
+        number = command.word(4)
         carrier = "tcp" if carrier in ("", "...") else carrier
         if host in ("", "..."):
             host = "..." if carrier == "mcast" else command.remote or "localhost"
@@ -220,7 +221,7 @@ class Registry:
         return Contact(name, host, number, asked.carrier)
 
     def _unregister(self, command: Command) -> list[Any]:
-        name = command.word(1)
+        name = command.name(1)
         if name != self.server.name:
             self._forget(command, name)
         return self._described(command, name)
@@ -243,7 +244,7 @@ class Registry:
     # -- asking --------------------------------------------------------------------------------------------------
 
     def _query(self, command: Command) -> list[Any]:
-        return self._described(command, plain_name(command.word(1)))
+        return self._described(command, plain_name(command.name(1)))
 
     def _described(self, command: Command, name: str) -> list[Any]:
         """The answer about one port."""
@@ -255,7 +256,7 @@ class Registry:
         return [OLD, as_words(entry.contact)] if entry else [OLD]
 
     def _list(self, command: Command) -> list[Any]:
-        prefix = command.word(1)
+        prefix = command.name(1)
         inside = prefix if prefix.endswith("/") else prefix + "/"
         return self._shown(command, lambda name, _: not prefix or name == prefix or name.startswith(inside))
 
@@ -269,7 +270,7 @@ class Registry:
         return [OLD, *(as_words(e.contact) for e in entries)]
 
     def _route(self, command: Command) -> list[Any]:
-        source, target = command.word(1), command.word(2)
+        source, target = command.name(1), command.name(2)
         return [OLD, ["port", source, "route", target, "=", f"tcp:/{target}"]]
 
     def _help(self, command: Command) -> list[Any]:
@@ -279,7 +280,7 @@ class Registry:
     # -- properties ----------------------------------------------------------------------------------------------
 
     def _set(self, command: Command) -> list[Any]:
-        entry, key = self._ports.get(command.word(1)), command.word(2)
+        entry, key = self._ports.get(command.name(1)), command.word(2)
         if entry is None:
             return command.head
         values = [plain_text(v) for v in command.words[3:]]
@@ -291,7 +292,7 @@ class Registry:
         return self._get(command)
 
     def _get(self, command: Command) -> list[Any]:
-        name, key = command.word(1), command.word(2)
+        name, key = command.name(1), command.word(2)
         entry = self._ports.get(name)
         if entry is None:
             return command.head
@@ -301,7 +302,7 @@ class Registry:
         return [OLD, ["port", name, "property", key, "=", *values]]
 
     def _check(self, command: Command) -> list[Any]:
-        name, key, value = command.word(1), command.word(2), command.word(3)
+        name, key, value = command.name(1), command.word(2), command.word(3)
         entry = self._ports.get(name)
         if entry is None:
             return [OLD]
@@ -311,7 +312,7 @@ class Registry:
     # -- persistent connections and topics -------------------------------------------------------------------------
 
     def _subscribe(self, command: Command) -> list[Any]:
-        source, target, mode = (command.word(i) for i in (1, 2, 3))
+        source, target, mode = (command.name(i) for i in (1, 2, 3))
         if not target:
             return self._subscriptions.listing(Contact.parse(source).name)
         wishes = self._subscriptions.add(source, target, mode)
@@ -320,12 +321,12 @@ class Registry:
         return code(wishes is not None)
 
     def _unsubscribe(self, command: Command) -> list[Any]:
-        self._subscriptions.remove(command.word(1), command.word(2))
+        self._subscriptions.remove(command.name(1), command.name(2))
         command.changed = True
         return code(True)
 
     def _announce(self, command: Command) -> list[Any]:
-        name = command.word(1)
+        name = command.name(1)
         alive = len(command.words) < 3 or command.words[2] != 0
         # one that does not respond is not forgotten for that: who could not reach it may be at fault
         if alive and self._is_port(name):
@@ -337,13 +338,13 @@ class Registry:
     def _topic(self, command: Command) -> list[Any]:
         if len(command.words) < 2:
             return list(self._subscriptions.topics())
-        wishes = self._subscriptions.set_topic(command.word(1), command.word(2))
+        wishes = self._subscriptions.set_topic(command.name(1), command.name(2))
         command.changed = wishes is not None
         command.wishes += wishes or ()
         return code(wishes is not None)
 
     def _untopic(self, command: Command) -> list[Any]:
-        self._subscriptions.remove_topic(command.word(1))
+        self._subscriptions.remove_topic(command.name(1))
         command.changed = True
         return code(True)
 

@@ -77,6 +77,15 @@ def test_listing(ask: Asked) -> None:
     assert ask("bot query /c") == ['port (error -2 "port not known")']
 
 
+def test_what_a_browser_sends_behind_a_command(ask: Asked) -> None:
+    """``/?req=list&format=json`` comes with the request's fields, and is answered with values."""
+    ask("register /p")
+    answer = ask('list (REQUEST_URI "?req=list&format=json") (format json) (req list)')
+    assert answer[0].startswith('ports (port (name "/p") (ip "127.0.0.1")')
+    assert ask("query (a b)") == [END]
+    assert ask("register 5") == [END]
+
+
 def test_properties(ask: Asked) -> None:
     """Words under a key, answered in order of their bytes; each set replaces what was there."""
     ask("register /p")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import urllib.request
 from collections.abc import Iterator
@@ -106,13 +107,22 @@ def test_bottles_over_tcp(server: NameServer, profile: Profile) -> None:
 
 
 def test_a_browser(server: NameServer, names: NameClient) -> None:
-    """The list of all ports as a page with links to each."""
+    """The list of all ports as a page with links to each, and as JSON in yarpserver's form."""
     names.register("/robot/camera")
     url = f"http://127.0.0.1:{server.address.port}"
     with urllib.request.urlopen(f"{url}/data=list", timeout=10) as page:
         text = page.read().decode()
     assert f'<a href="http://127.0.0.1:{server.address.port + 2}' in text
     assert "/robot/camera" in text
+    with urllib.request.urlopen(f"{url}/?req=list&format=json", timeout=10) as page:
+        listed = json.loads(page.read())
+    port = server.address.port
+    fields = {"type": "port", "ip": "127.0.0.1", "carrier": "tcp"}
+    assert listed == [
+        "ports",
+        {**fields, "name": "/robot/camera", "port_number": port + 2},
+        {**fields, "name": "/root", "port_number": port},
+    ]
     with urllib.request.urlopen(f"{url}/web/main.css", timeout=10) as page:
         assert page.headers["Content-Type"] == "text/css"
         assert page.read().startswith(b"body {")
