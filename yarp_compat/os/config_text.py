@@ -91,8 +91,9 @@ class _File:
         group = ""
         content: list[Any] = []
         for line in _lines(text):
-            buf = self._expanded(_uncommented(line), entries)
-            if buf.startswith("[") and "]" in buf:
+            # what is open at the file's end is taken as it is, as YARP does
+            buf = self._expanded(_uncommented(line), entries) if is_complete(line) else line
+            if buf.startswith("[") and "]" in buf and is_complete(line):
                 _close(group, content, entries)
                 group, content = self._header(buf[1 : buf.index("]")], entries), []
                 content = list(entry_values(entries.get(group, ())))

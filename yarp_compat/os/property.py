@@ -79,7 +79,8 @@ class Property(Portable, Searchable):
         """A key and its values, in a Bottle of their own; a null Bottle where there is none."""
         if key not in self._entries:
             return Bottle.getNullBottle()
-        return Bottle.of([key, *entry_values(self._entries[key])])
+        own = next(one for one in self._entries if one == key)  # which may stand for a number
+        return Bottle.of(*entries_of({own: self._entries[key]}))
 
     # where values come from
 

@@ -10,7 +10,7 @@ from typing import Any
 from yarp_compat.wire import tags
 from yarp_compat.wire.errors import Incomplete, WireError
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Vocab, Vocab64
+from yarp_compat.wire.values import Float32, Int8, Int16, Int64, Key, Vocab, Vocab64
 
 Data = bytes | bytearray | memoryview
 Array = Callable[[Data, int, int, str], Any]
@@ -208,14 +208,17 @@ def dict_of(entries: list[Any]) -> dict[str, Any]:
     for entry in entries:
         if isinstance(entry, list) and entry:
             key, *values = entry
-            found[key if isinstance(key, str) else _key(key)] = values[0] if len(values) == 1 else tuple(values)
+            if type(key) is not str:
+                key = _key(key)
+                found.pop(key, None)  # else the older key would stay, which may be of another type
+            found[key] = values[0] if len(values) == 1 else tuple(values)
     return found
 
 
-def _key(value: Any) -> str:
+def _key(value: Any) -> Key:
     from yarp_compat.wire.text import plain_text
 
-    return plain_text(value)
+    return Key.of(value, plain_text(value))
 
 
 def _too_long(length: int, begin: int) -> WireError:

@@ -11,7 +11,7 @@ from yarp_compat.wire import tags
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
-from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, Vocab, Vocab64
+from yarp_compat.wire.values import Float32, Group, Int8, Int16, Int64, Key, Vocab, Vocab64
 
 _TWO = Struct("<ii").pack
 _WORD = Struct("<i").pack
@@ -187,7 +187,7 @@ def entries_of(value: dict[Any, Any]) -> list[list[Any]]:
     wrong = [key for key in value if not isinstance(key, str)]
     if wrong:
         raise WireError(f"the key {wrong[0]!r} of a dict is no str")
-    return [[key, *entry_values(value[key])] for key in sorted(value)]
+    return [[key.value if type(key) is Key else key, *entry_values(value[key])] for key in sorted(value)]
 
 
 def entry_values(entry: Any) -> Sequence[Any]:

@@ -62,6 +62,24 @@ class Vocab(str):
     __slots__ = ()
 
 
+class Key(str):
+    """A dict's key that is no string on the wire; it compares as the string that it is looked for by.
+
+    Attributes:
+        value: what it is on the wire.
+    """
+
+    __slots__ = ("value",)
+    value: Any
+
+    @classmethod
+    def of(cls, value: Any, text: str) -> Key:
+        """The key for a value whose text this is."""
+        made = cls(text)
+        made.value = value
+        return made
+
+
 class Group(dict[str, Any]):
     """A dict whose entries are the values after its key in the dict around it."""
 

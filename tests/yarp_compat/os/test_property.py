@@ -85,7 +85,7 @@ def test_messages_hold_what_the_text_says() -> None:
     """As with YARP, whose Property goes through its text: small ints and floats of four bytes become usual ones."""
     wire = Bottle("((a 1) (b 2)) x (n 5 6) (e)").to_bytes()
     found = Property.from_bytes(wire)
-    assert found.toString() == '("a 1" (b 2)) (e) (n 5 6)'
+    assert found.toString() == "((a 1) (b 2)) (e) (n 5 6)"
     assert found.find("n").asInt32() == 5
     with pytest.raises(WireError):
         found.from_wire(b"nothing")
@@ -182,6 +182,17 @@ def test_windows_line_ends_and_values_from_the_caller() -> None:
     assert property_.toString() == "(G (b 5)) (a 1)"
     property_.fromConfig("a 2\nunclosed (1 2", wipe=False)
     assert property_.find("a").asInt32() == 2
+
+
+def test_keys_that_are_numbers_stay_numbers() -> None:
+    property_ = Property()
+    property_.fromConfig("5 x\n[G]\n7 y\n5 z\n")
+    assert property_.toString() == "(5 x) (G (7 y) (5 z))"
+    assert property_.findGroup("5").get(0).isInt32()
+    assert property_.find("5").asString() == "x"
+    property_.put("5", 1)
+    assert property_.find("5").asInt32() == 1
+    assert Property(property_).toString() == property_.toString()
 
 
 def test_included_files(tmp_path: Path) -> None:
