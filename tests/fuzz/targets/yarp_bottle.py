@@ -85,7 +85,9 @@ def _text() -> Subject:
         assert len(line) > 1000 or to_text(values) == to_text(_Reader(line).values(line, 0))
         is_complete(line)
         wire = encode(values, Profile.YARP4)
-        assert to_text(decode(wire, Profile.YARP4)) == to_text(values)
+        # as bytes: escapes may stand between the bytes of one character
+        back = to_text(decode(wire, Profile.YARP4))
+        assert back.encode(errors="surrogateescape") == to_text(values).encode(errors="surrogateescape")
 
     seeds = texts(
         '1 2.0 -3 +4 0x1F 007 1e3 .5 5. inf nan -inf true false null [set] [setmap] {1 2} (a (b c)) "q s" a,b',
