@@ -39,8 +39,8 @@ def answer(port: PortCore, sock: socket.socket, opened: Opening, rest: bytes, ad
         The input, not started; None where the peer went, or the carrier is not for connections from outside.
     """
     if opened.qualifiers:
-        told = "port %s: %s asks for %s, which is not offered here: its messages are taken as they come"
-        _log.warning(told, port.name, opened.sender, opened.qualifiers)
+        text = "port %s: %s asks for %s, which is not offered here: its messages are taken as they come"
+        _log.warning(text, port.name, opened.sender, opened.qualifiers)
     try:
         if opened.carrier is carriers.LOCAL:
             _log.info("port %s: %s calls by local, which is for ports of one process", port.name, opened.sender)

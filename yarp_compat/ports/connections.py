@@ -52,6 +52,7 @@ class Connections:
     def add_input(self, connection: Input) -> bool:
         """Take an input, in the place of a former one from the same port; False where there is no room."""
         former: list[Input] = []
+        silent: Input | None = None
         with self._lock:
             if self._closed:
                 return False
@@ -62,11 +63,13 @@ class Connections:
                 if silent is None:
                     _log.warning("%s has %d inputs; one more is refused", connection.route.target, MOST_INPUTS)
                     return False
-                former.append(silent)
             self.inputs = [*self.inputs, connection]
         for one in former:
             one.retire()
             self.remove_input(one)
+        if silent is not None:
+            silent.close()
+            self.remove_input(silent)
         self._tell(connection.route, incoming=True, up=True)
         return True
 

@@ -116,7 +116,7 @@ class DatagramOutput:
         self._lock = threading.Lock()
         sock.setblocking(False)
 
-    def begin(self, buffers: Sequence[Buffer], *, strict: bool, wait: bool) -> Item | None:
+    def begin(self, buffers: Sequence[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message; None where it was dropped."""
         del strict, wait
         failed: OSError | None = None

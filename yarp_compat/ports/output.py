@@ -84,7 +84,7 @@ class Output:
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
-    def begin(self, buffers: list[Buffer], *, strict: bool, wait: bool) -> Item | None:
+    def begin(self, buffers: list[Buffer], strict: bool, wait: bool) -> Item | None:
         """Send a message as far as that goes at once; the rest follows.
 
         Args:
@@ -104,19 +104,20 @@ class Output:
                 return item
             self._driven = True
         try:
-            free = not self._due or self._take_ack(self._sock)
-            if free or wait:
+            if not self._due or self._take_ack(self._sock):
+                self._current = item
+                if self._send(item, self._sock) and not (wait and self._due):
+                    self._settle(item)
+                    return item
+            elif wait:
                 self._current = item
             else:
                 with self._lock:
                     self._queue(item, strict)
-            sent_all = free and self._send(item, self._sock)
         except OSError:
             self._fail()
             return None
-        if sent_all and not (wait and self._due):
-            self._settle(item)
-        elif not wait:
+        if not wait:
             self._hand_over()
         return item
 
@@ -158,14 +159,18 @@ class Output:
     def _send(self, item: Item, sock: socket.socket) -> bool:
         """Send what the socket takes of a message; whether that was all."""
         buffers = item.buffers
-        while buffers:
-            try:
-                count = send_some(sock, buffers)
-            except (BlockingIOError, TimeoutError):
-                item.buffers = buffers
-                return False
-            buffers = sent(buffers, count) if len(buffers) > 1 or count < len(buffers[0]) else []
-        item.buffers = buffers
+        try:
+            while buffers:
+                if len(buffers) == 1:
+                    count = sock.send(buffers[0])
+                    if count == len(buffers[0]):
+                        break
+                else:
+                    count = send_some(sock, buffers)
+                buffers = item.buffers = sent(buffers, count)
+        except (BlockingIOError, TimeoutError):
+            return False
+        item.buffers = []
         self._due = self.carrier.ack
         self.counters.sent += 1
         return True

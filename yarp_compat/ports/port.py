@@ -204,13 +204,15 @@ class PortCore:
         if self._interrupted:
             self.counters.dropped["interrupted"] += 1
             return 0
-        outputs = [output for output in self.connections.outputs if chosen is None or chosen(output)]
+        outputs = self.connections.outputs
         if not outputs:
             return 0
         made = Outgoing(payload, envelope, "D", text)
         self.counters.sent += 1
-        begun: list[tuple[AnyOutput, Item | None]] = []
+        begun: list[tuple[AnyOutput, Item]] = []
         for output in outputs:
+            if chosen is not None and not chosen(output):
+                continue
             try:
                 buffers = made.buffers(output.carrier, output.profile or self.profile)
             except WireError:
@@ -218,11 +220,16 @@ class PortCore:
                     raise
                 self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
                 continue
-            begun.append((output, output.begin(buffers, strict=strict or wait, wait=wait)))
-        if not wait:
-            return sum(item is not None for _, item in begun)
-        deadline = None if timeout is None else time.monotonic() + timeout
-        return sum(item is not None and (item.done or output.finish(item, deadline)) for output, item in begun)
+            item = output.begin(buffers, strict or wait, wait)
+            if item is not None:
+                begun.append((output, item))
+        reached = len(begun)
+        if wait:
+            deadline = None if timeout is None else time.monotonic() + timeout
+            for output, item in begun:
+                if not item.done and not output.finish(item, deadline):
+                    reached -= 1
+        return reached
 
     def request(
         self, payload: Content, envelope: str = "", *, timeout: float | None = None, parse: ReplyEnd | None = None

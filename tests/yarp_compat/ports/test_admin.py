@@ -41,7 +41,7 @@ def test_connecting_and_disconnecting(make_port: MakePort) -> None:
     assert ask(writer, "[list] [in]") == ""
     assert ask(writer, "[list] [out] /r") == '(from "/w") (to "/r") (carrier fast_tcp)'
     assert ask(writer, "[list] [out] /other") == ""
-    until(lambda: reader.inputs(), "the connection")
+    until(lambda: [r.carrier for r in reader.inputs()] == ["fast_tcp"], "the connection")
     assert ask(reader, "[list] [in] /w") == '(from "/w") (to "/r") (carrier fast_tcp)'
     assert ask(writer, "[del] /r") == '0 "Removed connection from /w to /r\\r\\n"'
     assert ask(writer, "[add] udp://r") == '0 "Added connection from /w to udp://r\\r\\n"'
