@@ -46,7 +46,7 @@ class Connector:
                 return
             self._waiting.add(wish)
             self._put(wish, 0)
-            if not self._idle and len(self._threads) < WORKERS:
+            if len(self._due) > self._idle and len(self._threads) < WORKERS:
                 name = f"yarp connector {len(self._threads)}"
                 thread = threading.Thread(target=self._run, name=name, daemon=True)
                 self._threads.append(thread)
