@@ -98,8 +98,10 @@ def test_a_line_of_text_drives(place: Place) -> None:
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
     heard = place.far.subscribe("/cmd_vel", TWIST)
     place.far.until_published("/cmd_vel")
-    contact = until(lambda: place.names.client.query("/midspan/cmd_vel:i"), "the input port")
-    until(lambda: connections.responds(contact), "it listens")
+    query = place.names.client.query
+    contact = until(
+        lambda: (c := query("/midspan/cmd_vel:i")) and connections.responds(c) and c, "the input port listens"
+    )
     until(
         lambda: talk.raw(contact, "someone", "d\r\n1.5 0.5 0.25\r\n", 2.0) and place.far.wait(heard, 1, 0.3),
         "it drives",
