@@ -8,7 +8,9 @@ from typing import Any
 
 from bridge.demo import camera, topics
 
-ROS1, ROS2, ZENOH = "ROS 1", "ROS 2", "zenoh"
+ROS1, ROS2, ZENOH, YARP = "ROS 1", "ROS 2", "zenoh", "YARP"
+YARP_TEXT = "YARP text"
+"""The YARP program once more, by lines of text."""
 
 _MOVED = 0.4
 """Metres or radians that a drive moves the robot at least."""
@@ -87,6 +89,11 @@ GREETINGS = (
     (ROS2, ZENOH, topics.FROM_ROS2),
     (ZENOH, ROS1, topics.FROM_ZENOH),
     (ZENOH, ROS2, topics.FROM_ZENOH),
+    (ROS2, YARP, topics.FROM_ROS2),
+    (ZENOH, YARP, topics.FROM_ZENOH),
+    (YARP, ROS1, topics.FROM_YARP),
+    (YARP, ROS2, topics.FROM_YARP),
+    (YARP, ZENOH, topics.FROM_YARP),
 )
 
 
@@ -99,13 +106,15 @@ def evaluate(reports: Mapping[str, Mapping[str, Any]], drives: Sequence[Drive]) 
     """
     map_text = str(reports[ROS1].get("map") or "no map was published")
     checks = [
-        _heard(promise, ROS1, target, reports[target]) for promise in promises(map_text) for target in (ROS2, ZENOH)
+        _heard(promise, ROS1, target, reports[target])
+        for promise in promises(map_text)
+        for target in (ROS2, ZENOH, YARP)
     ]
     for source, target, topic in GREETINGS:
         checks.append(_heard(Promise("greeting", topic, 3, f"from {source}"), source, target, reports[target]))
-    for source, topic in ((ROS1, topics.FROM_ROS1), (ROS2, topics.FROM_ROS2), (ZENOH, topics.FROM_ZENOH)):
+    for source, topic in zip((ROS1, ROS2, ZENOH, YARP), topics.HELLOS, strict=True):
         checks.append(_not_echoed(source, topic, reports[source]))
-    for source in (ROS2, ZENOH):
+    for source in (ROS2, ZENOH, YARP, YARP_TEXT):
         checks += _driven(source, next((d for d in drives if d.source == source), None))
     return checks
 

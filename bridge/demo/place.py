@@ -47,7 +47,7 @@ class Place:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
-            self.master_port, self.router_port = _free_ports(2)
+            self.master_port, self.router_port, self.yarp_port = _free_ports(3)
             self._hold, self.domain = _hold_domain()
             # a package alone on a path of its own: what else lies beside it must not reach the system's Python
             self.system_path = self.folder / "system"
@@ -81,7 +81,9 @@ class Place:
     def environment(self) -> dict[str, str]:
         """Environment of the daemon and of the programs that run on Midspan's own Python."""
         own = {
-            k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_"))
+            k: v
+            for k, v in os.environ.items()
+            if not k.startswith(("ROS_", "ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "YARP_"))
         }
         return own | {
             MARK: str(self.folder),
@@ -90,6 +92,7 @@ class Place:
             "ROS_DOMAIN_ID": str(self.domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_HOME": str(self.folder / "ros"),
+            "YARP_CONFIG_HOME": str(self.folder / "yarp"),
             "ROS_LOG_DIR": str(self.folder / "log"),
             "PYTHONUNBUFFERED": "1",
             # where Midspan runs from a checkout that is not installed
@@ -117,12 +120,16 @@ class Place:
             load(template)  # its mistakes are told with file and line
             base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
         base = _merged(base, more)
+        if not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
+            shipped = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["yarp"]
+            base = _merged(base, {"yarp": shipped})
         own = {
             "name": f"demo-{os.getpid()}",
             "state": str(self.folder / "state"),
             "hub": {"listen": f"tcp/127.0.0.1:{self.router_port}", "domain": self.domain, "router": True},
             "ros1": {"enabled": True, "master": self.master},
             "ros2": {"enabled": True, "domain": self.domain},
+            "yarp": {"enabled": True, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
         }
         self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
         return load(self.config_file)

@@ -11,7 +11,7 @@ import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, Protocol
 
 EVERY = 0.5
 """Seconds between two reports."""
@@ -51,6 +51,38 @@ class Ear:
         """As it stands in a report."""
         with self._lock:
             return {"count": self.count, "repeated": self.repeated, "detail": self.detail}
+
+
+class Program(Protocol):
+    """A program that says hello, drives, and joins late."""
+
+    voice: Voice
+
+    def drive(self, linear: float, angular: float, seconds: float) -> None:
+        """Publish a velocity for some seconds."""
+
+    def join_late(self) -> None:
+        """Listen to what was published once, long ago."""
+
+    def say_hello(self, ended: threading.Event) -> None:
+        """Say hello once in a while until the event is set."""
+
+    def close(self) -> None:
+        """Leave the network."""
+
+
+def serve(program: Program) -> None:
+    """Run a program until the standard input ends."""
+    ended = threading.Event()
+    hello = threading.Thread(target=program.say_hello, args=(ended,), name="hello", daemon=True)
+    hello.start()
+    try:
+        program.voice.tell("ready")
+        program.voice.attend({"drive": program.drive, "join_late": program.join_late})
+    finally:
+        ended.set()
+        hello.join(2.0)
+        program.close()
 
 
 class Voice:

@@ -45,7 +45,7 @@ class Robot:
         self._image = rospy.Publisher(topics.IMAGE, Image, queue_size=2)
         self._hello = rospy.Publisher(topics.FROM_ROS1, String, queue_size=5)
         rospy.Subscriber(topics.CMD_VEL, Twist, self._obey, queue_size=1, tcp_nodelay=True)
-        for topic in (topics.FROM_ROS1, topics.FROM_ROS2, topics.FROM_ZENOH):
+        for topic in topics.HELLOS:
             rospy.Subscriber(topic, String, self._listen, callback_args=topic, queue_size=20)
 
     def run(self, ended: threading.Event) -> None:

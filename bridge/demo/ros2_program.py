@@ -39,7 +39,7 @@ class Listener:
         self._hear(Odometry, topics.ODOM, wording.stamp, self._odometry, 10)
         self._hear(TFMessage, topics.TF, wording.first_stamp, wording.frames, 50)
         self._hear(Image, topics.IMAGE, wording.stamp, wording.image, qos_profile_sensor_data)
-        for topic in (topics.FROM_ROS1, topics.FROM_ROS2, topics.FROM_ZENOH):
+        for topic in topics.HELLOS:
             self._hear(String, topic, wording.text, wording.text, 10)
 
     def join_late(self) -> None:

@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from bridge.demo import requirements, topics
-from bridge.demo.checks import ROS1, ROS2, ZENOH, Check, Drive, evaluate
+from bridge.demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Check, Drive, evaluate
 from bridge.demo.child import Child, guarded
 from bridge.demo.place import Place
 from bridge.demo.traces import remove_unused, shared_memory, sweep
@@ -88,10 +88,12 @@ class Demo:
         """
         self._start()
         self._wait_until_joined()
-        for program in (ROS2, ZENOH):
+        for program in (ROS2, ZENOH, YARP):
             self._join_late(program)
         self._drive(ROS2, 0.3, 0.0, 2.5)
         self._drive(ZENOH, 0.0, 0.8, 2.0)
+        self._drive(YARP, -0.3, 0.0, 2.0)
+        self._drive(YARP_TEXT, 0.0, -0.8, 1.5)
         end = time.monotonic() + CROSS_SECONDS
         while not self.result().ok and time.monotonic() < end:
             self._wait(0.25, "waiting for what has not crossed yet")
@@ -100,7 +102,7 @@ class Demo:
 
     def result(self) -> Result:
         """How it stands now."""
-        reports = {name: self._children[name].report for name in (ROS1, ROS2, ZENOH)}
+        reports = {name: self._children[name].report for name in (ROS1, ROS2, ZENOH, YARP)}
         return Result(evaluate(reports, self._drives), time.monotonic() - self._began)
 
     def stay(self) -> None:
@@ -124,9 +126,10 @@ class Demo:
         self._launch(ROS2, [python, "-m", "bridge.demo.ros2_program"], own)
         zenoh = [python, "-m", "bridge.demo.zenoh_program", str(place.router_port), str(place.config.hub.domain)]
         self._launch(ZENOH, zenoh, own)
+        self._launch(YARP, [python, "-m", "bridge.demo.yarp_program", str(place.yarp_port)], own)
         self._wait_for_master()
         self._launch(ROS1, [system, "-m", "bridge.demo.robot"], ros1)
-        for program in (ROS1, ROS2, ZENOH):
+        for program in (ROS1, ROS2, ZENOH, YARP):
             self._wait_for(program, "ready", START_SECONDS, f"starting {program}")
 
     def _launch(self, name: str, command: list[Any], env: dict[str, str]) -> None:
@@ -144,7 +147,7 @@ class Demo:
         """Until each listener heard something of the robot; what never crosses is the checks' to tell."""
         end = time.monotonic() + START_SECONDS
         while time.monotonic() < end:
-            if all(_heard_anything(self._children[program].report) for program in (ROS2, ZENOH)):
+            if all(_heard_anything(self._children[program].report) for program in (ROS2, ZENOH, YARP)):
                 return
             self._wait(0.2, "waiting for the first messages to cross")
 
@@ -162,10 +165,12 @@ class Demo:
             self._wait(0.1, f"{program} joins late")
 
     def _drive(self, source: str, linear: float, angular: float, seconds: float) -> None:
-        robot, driver = self._children[ROS1], self._children[source]
+        text = source == YARP_TEXT
+        program, more = (YARP, {"text": True}) if text else (source, {})
+        robot, driver = self._children[ROS1], self._children[program]
         before, received = robot.report.get("pose", [0.0] * 3), _received(robot.report)
-        driver.ask("drive", linear=linear, angular=angular, seconds=seconds)
-        drove = self._wait_for(source, "drove", seconds + 5.0, f"{source} drives the robot") or {}
+        driver.ask("drive", linear=linear, angular=angular, seconds=seconds, **more)
+        drove = self._wait_for(program, "drove", seconds + 5.0, f"{source} drives the robot") or {}
         self._wait(SILENCE, "the driver is silent")
         self._drives.append(
             Drive(

@@ -18,7 +18,7 @@ from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from zenoh_ros2_sdk.session import ZenohSession
 
 from bridge.demo import topics, wording
-from bridge.demo.report import Voice
+from bridge.demo.report import Voice, serve
 
 _JAZZY = get_typestore(Stores.ROS2_JAZZY)
 _LATCHED = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=100)
@@ -39,7 +39,7 @@ class Listener:
         self._hear("nav_msgs/msg/Odometry", topics.ODOM, wording.stamp, self._odometry)
         self._hear("tf2_msgs/msg/TFMessage", topics.TF, wording.first_stamp, wording.frames)
         self._hear("sensor_msgs/msg/Image", topics.IMAGE, wording.stamp, wording.image)
-        for topic in (topics.FROM_ROS1, topics.FROM_ROS2, topics.FROM_ZENOH):
+        for topic in topics.HELLOS:
             self._hear("std_msgs/msg/String", topic, wording.text, wording.text)
 
     def join_late(self) -> None:
@@ -104,17 +104,7 @@ def _definition(type_: str) -> dict[str, str]:
 
 def main() -> int:
     """Run until the standard input ends."""
-    port, domain = int(sys.argv[1]), int(sys.argv[2])
-    listener, ended = Listener(port, domain), threading.Event()
-    hello = threading.Thread(target=listener.say_hello, args=(ended,), name="hello", daemon=True)
-    hello.start()
-    try:
-        listener.voice.tell("ready")
-        listener.voice.attend({"drive": listener.drive, "join_late": listener.join_late})
-    finally:
-        ended.set()
-        hello.join(2.0)
-        listener.close()
+    serve(Listener(int(sys.argv[1]), int(sys.argv[2])))
     return 0
 
 

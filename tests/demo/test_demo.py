@@ -75,11 +75,15 @@ def test_everything_crosses_every_way(folder: Path) -> None:
     code, output, seen = run(folder, "--seconds", "0")
     assert code == 0, output
     ways = {(check["from"], check["to"]) for check in seen["checks"]}
-    names = ("ROS 1", "ROS 2", "zenoh")
+    names = ("ROS 1", "ROS 2", "zenoh", "YARP")
     assert ways >= {(a, b) for a in names for b in names if a != b}
     assert all(check["ok"] for check in seen["checks"])
     scan = [route for route in seen["routes"] if route["topic"] == "/scan"]
-    assert {(route["worker"], route["direction"]) for route in scan} == {("ros1", "in"), ("ros2", "out")}
+    assert {(route["worker"], route["direction"]) for route in scan} == {
+        ("ros1", "in"),
+        ("ros2", "out"),
+        ("yarp", "out"),
+    }
     assert all(route["messages"] > 0 for route in scan)
     assert leftovers(folder) == []
 
@@ -90,8 +94,8 @@ def test_a_topic_that_does_not_cross_fails_the_demo_and_is_named(folder: Path) -
     code, output, seen = run(folder, "--seconds", "0", "--config", str(config))
     assert code == 1, output
     failed = {(check["name"], check["to"], check["topic"]) for check in seen["checks"] if not check["ok"]}
-    assert failed == {("laser scan", "ROS 2", "/scan"), ("laser scan", "zenoh", "/scan")}, output
-    assert "2 of " in output
+    assert failed == {("laser scan", name, "/scan") for name in ("ROS 2", "zenoh", "YARP")}, output
+    assert "3 of " in output
     assert "/scan: ros1" in output, "the worker's own reason is shown"
     assert leftovers(folder) == []
 

@@ -11,7 +11,7 @@ import pytest
 
 from bridge.demo import camera, requirements, topics, traces
 from bridge.demo.base import TIMEOUT, Base
-from bridge.demo.checks import ROS1, ROS2, ZENOH, Drive, evaluate, promises
+from bridge.demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
 from bridge.demo.floor_plan import RESOLUTION, FloorPlan
 from bridge.demo.place import Place
 from bridge.demo.report import Ear
@@ -97,24 +97,25 @@ def reports() -> dict[str, dict[str, Any]]:
         topics.FROM_ROS1: "hello 9 from ROS 1",
         topics.FROM_ROS2: "hello 9 from ROS 2",
         topics.FROM_ZENOH: "hello 9 from zenoh",
+        topics.FROM_YARP: "hello 9 from YARP",
     }
     robot = {promise.topic: promise.reads for promise in promises(MAP)} | greetings
 
     def heard(reads: dict[str, str]) -> dict[str, Any]:
         return {"heard": {topic: {"count": 100, "repeated": 0, "detail": text} for topic, text in reads.items()}}
 
-    return {ROS1: {**heard(greetings), "map": MAP}, ROS2: heard(robot), ZENOH: heard(robot)}
+    return {ROS1: {**heard(greetings), "map": MAP}, **{name: heard(robot) for name in (ROS2, ZENOH, YARP)}}
 
 
 def failed(told: dict[str, dict[str, Any]], *drives: Drive) -> set[tuple[str, str, str]]:
     return {(c.name, c.target, c.topic) for c in evaluate(told, drives) if not c.ok}
 
 
-BOTH = (DRIVE, replace(DRIVE, source=ZENOH))
+ALL = (DRIVE, *(replace(DRIVE, source=name) for name in (ZENOH, YARP, YARP_TEXT)))
 
 
 def test_checks_hold_when_all_crossed() -> None:
-    assert failed(reports(), *BOTH) == set()
+    assert failed(reports(), *ALL) == set()
 
 
 @pytest.mark.parametrize(
@@ -129,13 +130,13 @@ def test_checks_hold_when_all_crossed() -> None:
 def test_checks_name_what_is_missing_wrong_or_doubled(topic: str, change: dict[str, Any], name: str) -> None:
     told = reports()
     told[ROS2]["heard"][topic] |= change
-    assert failed(told, *BOTH) == {(name, ROS2, topic)}
+    assert failed(told, *ALL) == {(name, ROS2, topic)}
 
 
 def test_checks_see_an_echo() -> None:
     told = reports()
     told[ROS1]["heard"][topics.FROM_ROS1]["repeated"] = 2
-    assert ("no echo", ROS1, topics.FROM_ROS1) in failed(told, *BOTH)
+    assert ("no echo", ROS1, topics.FROM_ROS1) in failed(told, *ALL)
 
 
 @pytest.mark.parametrize(
@@ -147,19 +148,20 @@ def test_checks_see_an_echo() -> None:
     ],
 )
 def test_checks_see_a_robot_that_does_not_obey(change: dict[str, Any], names: set[str]) -> None:
-    told = evaluate(reports(), (replace(DRIVE, **change), BOTH[1]))
+    told = evaluate(reports(), (replace(DRIVE, **change), *ALL[1:]))
     assert {check.name for check in told if not check.ok} == names
 
 
 def test_no_report_and_no_drive_is_no_success() -> None:
-    checks = evaluate({ROS1: {}, ROS2: {}, ZENOH: {}}, ())
+    checks = evaluate({ROS1: {}, ROS2: {}, ZENOH: {}, YARP: {}}, ())
     assert not any(check.ok for check in checks)
 
 
 def test_places_meet_nobody() -> None:
     with Place(None) as one, Place(None) as other:
         assert one.domain != other.domain
-        assert len({one.master_port, one.router_port, other.master_port, other.router_port}) == 4
+        ports = {port for place in (one, other) for port in (place.master_port, place.router_port, place.yarp_port)}
+        assert len(ports) == 6
         assert one.config.ros1.master == one.master
         assert one.config.hub.listen.endswith(f":{one.router_port}")
         folders = (one.folder, other.folder)
