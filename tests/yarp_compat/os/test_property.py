@@ -184,6 +184,13 @@ def test_windows_line_ends_and_values_from_the_caller() -> None:
     assert property_.find("a").asInt32() == 2
 
 
+def test_what_is_open_at_the_end_of_a_file_is_taken_as_it_is() -> None:
+    """As YARP 3.12.3 did: no comment is cut off, no group begins."""
+    property_ = Property()
+    property_.fromConfig(" 3)\nname /x // c\n#\n[G]\n(x 1) 2")
+    assert property_.toString() == '("3)name /x // c#[G](x")'
+
+
 def test_keys_that_are_numbers_stay_numbers() -> None:
     property_ = Property()
     property_.fromConfig("5 x\n[G]\n7 y\n5 z\n")
