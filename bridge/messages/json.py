@@ -85,7 +85,7 @@ class _JsonWriter(Writer):
 
     def items(self, kind: FieldType, value: Any, where: str) -> Sequence[Any] | np.ndarray | bytes:
         """Takes base64 text."""
-        if kind.base not in OCTETS:
+        if kind.base not in OCTETS or isinstance(value, np.ndarray):
             return super().items(kind, value, where)
         if isinstance(value, str):
             try:

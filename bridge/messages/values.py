@@ -217,6 +217,8 @@ def _default(field: Field) -> Any:
     kind = field.type
     if kind.shape is Shape.SEQUENCE:
         return ()
+    if kind.shape is Shape.ARRAY and kind.base in PRIMITIVE_SIZES:
+        return np.zeros(kind.length, DTYPES[kind.base])
     single: Any = {} if kind.nested else "" if kind.base in STRING_TYPES else False if kind.base == "bool" else 0
     return single if kind.shape is Shape.SINGLE else (single,) * kind.length
 

@@ -128,7 +128,7 @@ def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: Graph) 
     nodes = {
         node.port: Link()
         for node in graph.nodes
-        if node.publishes and node.topic == topic and node.type == wanted.type and graph.is_there(node.port)
+        if node.publishes and node.topic == topic and node.type in ("", wanted.type) and graph.is_there(node.port)
     }
     if nodes:
         name = names.input_from_nodes(topic)

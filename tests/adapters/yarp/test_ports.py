@@ -93,6 +93,19 @@ def test_who_writes_one_line_and_leaves_is_heard(place: Place) -> None:
     place.far.drop(there)
 
 
+def test_a_port_of_a_node_without_a_type_has_that_of_the_rule(place: Place) -> None:
+    """Real YARP's tools open ``/talk@/talker`` and know of no types."""
+    place.bridge({"topic": "/talk", "type": "std_msgs/msg/String"})
+    heard = place.far.subscribe("/talk", "std_msgs/String")
+    talker = place.port("/talk+@/talker")
+    until(lambda: talker.core.outputs(), "the bridge connects it")
+    until(lambda: talker.write(["hello"]) or place.far.wait(heard, 1, 0.2), "it crosses")
+    out = place.far.advertise("/orders", "std_msgs/String")
+    listener = place.port("/orders-@/listener")
+    place.far.hub_publish_until(out, {"data": "go"}, lambda: listener.messages(1, 0.2))
+    assert listener.bottles()[0] == ["go"]
+
+
 def test_a_line_of_text_drives(place: Place) -> None:
     """A text carrier is a socket and two lines."""
     place.bridge({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "fields": SHORT})
