@@ -142,7 +142,8 @@ class Writer:
             return
         if isinstance(items, np.ndarray):
             self.align(PRIMITIVE_SIZES[kind.base] if len(items) else 1)
-            self.data += np.ascontiguousarray(items, DTYPES[kind.base]).tobytes()
+            with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
+                self.data += np.ascontiguousarray(items, DTYPES[kind.base]).tobytes()
             return
         for number, item in enumerate(items):
             self.element(kind.element, item, f"{where}[{number}]")

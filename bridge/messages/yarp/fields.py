@@ -165,14 +165,14 @@ def _put(message: dict[str, Any], path: Sequence[str], value: Any) -> None:
 
 
 def _compare(entry: Entry, value: Any) -> None:
-    if value != entry.constant or isinstance(value, bool):
+    if isinstance(value, bool) or not isinstance(value, int | float | str) or value != entry.constant:
         raise ConversionError(f"a value of the Bottle is {value!r}, where the rule has {entry.text}")
 
 
 def _taken(entry: Entry, kind: FieldType, value: Any) -> Any:
     """A Bottle's value as the field takes it."""
     if kind.base in _TIMES:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1 << 31:
             raise wrong(entry.text, "a time in seconds", value)
         return _time(round(value * 1e9))
     if kind.shape is not Shape.SINGLE:

@@ -70,7 +70,8 @@ class _Writer:
         if kind.shape is Shape.SEQUENCE:
             self.out.append(struct.pack("<I", len(value)))
         if isinstance(value, np.ndarray) and kind.base.startswith("float") and value.dtype.kind in "fi":
-            self.out.append(value.astype(DTYPES[kind.base]).tobytes())
+            with np.errstate(over="ignore", invalid="ignore"):
+                self.out.append(value.astype(DTYPES[kind.base]).tobytes())
             return
         for number, item in enumerate(value.tolist() if isinstance(value, np.ndarray) else value):
             self._element(kind.element, item, f"{where}[{number}]")

@@ -15,6 +15,7 @@ from tests.fuzz.targets import (
     ros2,
     yarp_bottle,
     yarp_data,
+    yarp_messages,
     yarp_names,
     yarp_ports,
     zenoh,
@@ -33,6 +34,7 @@ _MODULES = (
     zenoh,
     yarp_bottle,
     yarp_data,
+    yarp_messages,
     yarp_names,
     yarp_ports,
 )

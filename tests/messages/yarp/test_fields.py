@@ -99,6 +99,17 @@ def test_a_wrong_bottle_is_refused(values: list[Any], error: str) -> None:
         back(codec(TWIST, "linear.x", "linear.y", "angular.z"), TWIST, values)
 
 
+@pytest.mark.parametrize("value", [1e300, math.inf, math.nan, -1e12, True, "now"])
+def test_a_time_that_is_none(value: Any) -> None:
+    with pytest.raises(ConversionError, match="header.stamp is a time in seconds"):
+        back(codec("sensor_msgs/msg/JointState", "header.stamp"), "sensor_msgs/msg/JointState", [value])
+
+
+def test_a_list_where_the_rule_has_a_constant() -> None:
+    with pytest.raises(ConversionError, match="where the rule has 3"):
+        back(codec(TWIST, 3, "linear.x"), TWIST, [[1.0, 2.0], 1.0])
+
+
 @given(st.binary(max_size=100))
 def test_any_bytes_are_refused_or_taken(junk: bytes) -> None:
     known = codec("sensor_msgs/msg/JointState", "name", "position", "header.stamp")

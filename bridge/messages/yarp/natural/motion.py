@@ -70,10 +70,13 @@ class _Joints:
     """A vector of the joints' positions in degrees, as a control board's ``state:o`` sends it; no names."""
 
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
-        write_numbers(out, np.degrees(message["position"]))
+        with np.errstate(over="ignore", invalid="ignore"):
+            degrees = np.degrees(message["position"])
+        write_numbers(out, degrees)
 
     def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
-        positions = np.radians(read_numbers(source))
+        with np.errstate(invalid="ignore"):
+            positions = np.radians(read_numbers(source))
         names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))
         if len(names) != len(positions):
             raise ConversionError(f"there are {len(positions)} joints, and the rule names {len(names)}")
