@@ -48,6 +48,7 @@ class NameClient:
         self._found: Address | None = None
         self._timeout = timeout
         self._registered: dict[str, _Registered] = {}
+        self._left: set[str] = set()
 
     @property
     def address(self) -> Address:
@@ -121,7 +122,14 @@ class NameClient:
         """Forget a port; see `Naming.unregister`."""
         KEEPER.forget(self, name)
         self._registered.pop(name, None)
+        if name in self._left:
+            self._left.discard(name)
+            return
         self.lines(["unregister", name])
+
+    def leave(self, name: str) -> None:
+        """Another port has taken a name of ours: `unregister` will leave it to that one."""
+        self._left.add(name)
 
     def query(self, name: str) -> Contact | None:
         """Where a port is; see `Naming.query`. ``tcp://host:10002/`` is its own answer."""

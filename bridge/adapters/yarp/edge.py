@@ -137,13 +137,13 @@ class YarpEdge(Edge):
         if not self._presence.is_open:
             self._ports.bury(found, self._names)
             self._presence.open()
-        if self._away or started < self._mark_until:
-            self._mark_until = started + _MARK_AGAIN if self._away else self._mark_until
-            self._away = False
+        self._ports.leave_taken(found)
+        returned = self._away or started < self._mark_until
+        if self._away:
+            self._away, self._mark_until = False, started + _MARK_AGAIN
+        if returned:
             self._presence.mark()
-            self._ports.mark_again()
-        else:
-            self._ports.mark_again(found)
+        self._ports.mark_again(found, returned=returned)
         self._graph.update(self._network.naming, contacts, peers)
         self._presence.look(self._graph.contacts, started)
         self._follow()

@@ -230,11 +230,25 @@ class OwnPorts:
             self._graph.forget(event.route.source if event.incoming else event.route.target)
         self._changed()
 
-    def mark_again(self, contacts: Mapping[str, Contact] | None = None) -> None:
-        """Register and mark the ports that a name server forgot; None: mark all that there are."""
+    def leave_taken(self, contacts: Mapping[str, Contact]) -> None:
+        """Close the ports whose names others have by now: of two that opened one at once, the first is forgotten."""
+        taken = [
+            key
+            for key, own in self._own.items()
+            if (found := contacts.get(own.core.name)) is not None
+            and (found.host, found.port) != (own.core.contact.host, own.core.contact.port)
+        ]
+        for key in taken:
+            self._naming.leave(self._own[key].core.name)
+        self._close([self._own.pop(key) for key in taken])
+
+    def mark_again(self, contacts: Mapping[str, Contact], *, returned: bool) -> None:
+        """Register and mark the ports that a name server forgot; mark all where it has just returned."""
         for own in self._own.values():
-            if contacts is None or own.core.name not in contacts:
+            forgotten = own.core.name not in contacts
+            if forgotten:
                 self._naming.restore(own.core.name)
+            if forgotten or returned:
                 self._naming.set_property(own.core.name, OWNER, self._owner)
 
     def bury(self, contacts: Mapping[str, Contact], names: PortNames) -> None:
