@@ -257,7 +257,8 @@ class OwnPorts:
             if not names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-            if owner == [self._owner] and not connections.responds(contact, timeout=_CONNECT_SECONDS):
+            # one without an owner was killed before it was marked, if it is dead
+            if owner in ([], [self._owner]) and not connections.responds(contact, timeout=_CONNECT_SECONDS):
                 self._naming.unregister(name)
 
     # -- connections ---------------------------------------------------------------------------------------------------

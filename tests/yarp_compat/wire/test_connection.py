@@ -103,9 +103,12 @@ def test_annotated_message() -> None:
     word, content = message.parse(head + payload)
     assert (word.key, word.envelope, bytes(content)) == ("D", "", payload)
     assert bytes.fromhex("59 41 00 00 00 00 52 50") == message.ACK
-    assert bytes.fromhex(
-        "59 41 0a 00 00 00 52 50 01 01 ff ff ff ff ff ff ff ff 0a 00 00 00 00 00 00 0002 00 00 00 7e 00 00 01 71 00"
-    ) == message.QUIT
+    assert (
+        bytes.fromhex(
+            "59 41 0a 00 00 00 52 50 01 01 ff ff ff ff ff ff ff ff 0a 00 00 00 00 00 00 0002 00 00 00 7e 00 00 01 71 00"
+        )
+        == message.QUIT
+    )
 
 
 def test_annotated_envelope() -> None:
