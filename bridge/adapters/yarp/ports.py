@@ -257,8 +257,8 @@ class OwnPorts:
             if not names.may_be(name):
                 continue
             owner = [str(value) for value in self._naming.get_property(name, OWNER)]
-            # one without an owner was killed before it was marked, if it is dead
-            if owner in ([], [self._owner]) and not connections.responds(contact, timeout=_CONNECT_SECONDS):
+            # One without an owner may have been killed before it was marked; a number may have gone to another program.
+            if owner == [self._owner] or (not owner and not connections.responds(contact, timeout=_CONNECT_SECONDS)):
                 self._naming.unregister(name)
 
     # -- connections ---------------------------------------------------------------------------------------------------
