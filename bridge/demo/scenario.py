@@ -24,6 +24,9 @@ START_SECONDS = 20.0
 SHOW_SECONDS = 20.0
 """How long a run lasts at least, so that a person sees the table move."""
 
+ASK_AGAIN = 1.5
+"""Seconds after which a late one that heard nothing asks once more."""
+
 LATE_SECONDS = 5.0
 """How long what was said before is waited for by each one that joins late."""
 
@@ -154,11 +157,14 @@ class Demo:
     def _join_late(self, program: str) -> None:
         """Have a program listen to what was said long ago, and wait a moment for that.
 
-        zenoh-ros2-sdk asks once for what is kept, so it comes second: by then the robot's words are on the hub.
+        zenoh-ros2-sdk asks once for what is kept, and on a busy machine before it is told who keeps it; so its program
+        comes second, and asks again.
         """
-        child, end = self._children[program], time.monotonic() + LATE_SECONDS
-        child.ask("join_late")
+        child, end, again = self._children[program], time.monotonic() + LATE_SECONDS, 0.0
         while time.monotonic() < end:
+            if not again or (program == ZENOH and time.monotonic() > again):
+                child.ask("join_late")
+                again = time.monotonic() + ASK_AGAIN
             heard = child.report.get("heard", {})
             if all(heard.get(topic, {}).get("count") for topic in (topics.MAP, topics.TF_STATIC)):
                 return

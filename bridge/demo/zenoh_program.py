@@ -30,6 +30,7 @@ class Listener:
     def __init__(self, port: int, domain: int) -> None:
         self._where = {"domain_id": domain, "router_port": port}
         self._endpoints: list[Any] = []
+        self._late: dict[str, Any] = {}
         self._pose: list[float] | None = None
         self._static_frames: set[str] = set()
         self.voice = Voice(self._state)
@@ -43,9 +44,16 @@ class Listener:
             self._hear("std_msgs/msg/String", topic, wording.text, wording.text)
 
     def join_late(self) -> None:
-        """Listen to what was published once, long ago."""
-        self._hear("nav_msgs/msg/OccupancyGrid", topics.MAP, wording.stamp, wording.grid, _LATCHED)
-        self._hear("tf2_msgs/msg/TFMessage", topics.TF_STATIC, lambda _message: None, self._mounts, _LATCHED)
+        """Listen to what was published once, long ago; asked again, to what has not come."""
+        for topic, type_, key, detail in (
+            (topics.MAP, "nav_msgs/msg/OccupancyGrid", wording.stamp, wording.grid),
+            (topics.TF_STATIC, "tf2_msgs/msg/TFMessage", lambda _message: None, self._mounts),
+        ):
+            if self.voice.ear(topic).count:
+                continue
+            if topic in self._late:
+                self._late[topic].close()
+            self._late[topic] = self._hear(type_, topic, key, detail, _LATCHED)
 
     def drive(self, linear: float, angular: float, seconds: float) -> None:
         """Publish a velocity for some seconds, then fall silent; tells where the robot was and is."""
@@ -78,12 +86,13 @@ class Listener:
 
     def _hear(
         self, type_: str, topic: str, key: Callable[[Any], Any], detail: Callable[[Any], str], qos: Any = None
-    ) -> None:
+    ) -> Any:
         ear = self.voice.ear(topic)
         subscriber = ROS2Subscriber(
             topic, type_, lambda m: ear.hear(key(m), detail(m)), qos=qos, **_definition(type_), **self._where
         )
         self._endpoints.append(subscriber)
+        return subscriber
 
     def _odometry(self, message: Any) -> str:
         self._pose = wording.pose(message)
