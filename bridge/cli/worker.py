@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +48,10 @@ def run(args: argparse.Namespace) -> int:
 
     kind = worker_kinds()[args.side]
     if args.supervised:
-        return Process(kind, control=args.control).run_supervised()
+        ended = Process(kind, control=args.control).run_supervised()
+        # The daemon's SIGTERM may come behind its word, when Python has taken its handlers away already.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return ended
     config = _config(args)
     if kind.environment and not args.prepared:
         _enter_environment(kind, config, args)

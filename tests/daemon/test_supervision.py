@@ -24,8 +24,8 @@ def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
     assert process.popen.wait(10) == 0
     assert not any(alive(pid) for pid in pids)
     output = process.output()
-    assert output.index("ros1 ended with exit code 0") < output.index("router is stopped")
-    assert output.index("ros2 ended with exit code 0") < output.index("router is stopped")
+    for worker in ("ros1", "ros2"):
+        assert f"{worker} ended with exit code 0" in output.partition("router is stopped")[0], output
     assert [len(daemon.events(worker, "stop")) for worker in WORKERS] == [1, 1, 1]
 
 
