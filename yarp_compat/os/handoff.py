@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-
+from yarp_compat.os.gate import Gate
 from yarp_compat.ports.message import Message
 
 
-class Handoff:
+class Handoff(Gate):
     """A place for one message: who gives waits until it is taken, who takes waits until there is one."""
 
     def __init__(self) -> None:
-        self._changed = threading.Condition()
+        super().__init__()
         self._message: Message | None = None
-        self._closed = False
-        self._interrupted = False
 
     def give(self, message: Message) -> bool:
         """Wait until the message was taken; False when the place was closed first."""
@@ -39,20 +36,3 @@ class Handoff:
             self._message = None
             self._changed.notify_all()
             return message
-
-    def interrupt(self) -> None:
-        """Let takers go, until `resume`."""
-        with self._changed:
-            self._interrupted = True
-            self._changed.notify_all()
-
-    def resume(self) -> None:
-        """Let takers wait again."""
-        with self._changed:
-            self._interrupted = False
-
-    def close(self) -> None:
-        """Let everybody go, for good."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable
 
+from yarp_compat.os.gate import Gate
 from yarp_compat.ports.message import Message
 
 LIMIT = 64 << 20
 """Bytes that wait in strict mode; whoever sends more, waits for the reader."""
 
 
-class Inbox:
+class Inbox(Gate):
     """Messages from the threads of connections to the one that reads."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.strict = False
         self.dropped = 0
-        self._changed = threading.Condition()
         self._messages: deque[Message] = deque()
         self._bytes = 0
-        self._closed = False
-        self._interrupted = False
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -59,31 +57,9 @@ class Inbox:
             self._changed.notify_all()
             return message
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether nothing will come any more."""
-        return self._closed
-
-    def wake(self) -> None:
-        """Have whoever waits look whether it should go."""
-        with self._changed:
-            self._changed.notify_all()
-
-    def interrupt(self) -> None:
-        """Let whoever waits go, until `resume`."""
-        with self._changed:
-            self._interrupted = True
-            self._changed.notify_all()
-
-    def resume(self) -> None:
-        """Let readers wait again."""
-        with self._changed:
-            self._interrupted = False
-
     def close(self) -> None:
         """Let everybody go, for good."""
+        super().close()
         with self._changed:
-            self._closed = True
             self._messages.clear()
             self._bytes = 0
-            self._changed.notify_all()
