@@ -14,8 +14,9 @@ PREFIX_BYTES = 12
 _MARK = b"MSPN"
 
 
-_FIRST_NUMBER, _NUMBERS = 32, 80
-"""Above those that participants have which count up from 0, and below 120, where the ports of the next domain begin."""
+_FIRST_NUMBER, _NUMBERS = 32, 30
+"""Above those that participants have which count up from 0; the last one's ports fit below 65536 in domain 232 too, the
+highest: Fast DDS ends the process where they do not."""
 _LATELY = 8
 
 
