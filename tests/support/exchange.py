@@ -46,11 +46,23 @@ def until_all_hear(program: Any, out: int, heard: int, far: list[tuple[HubSide, 
     """Until a new probe of the program is at every hub, and one of every hub at the program."""
     mark = f"probe {len(program.wait(heard, 0))}"
 
-    def once() -> bool:
-        program.publish(out, {"data": mark})
-        for which, (end, sender, _) in enumerate(far):
-            end.publish(sender, {"data": f"{mark} {which}"})
-        there = all(mark in _texts(end, subscription) for end, _, subscription in far)
-        return there and {f"{mark} {which}" for which in range(len(far))} <= _texts(program, heard)
+    missing: set[str] = set()
 
-    until(once, "probes cross", 30)
+    def once() -> bool:
+        missing.clear()
+        program.publish(out, {"data": mark})
+        for which, (end, sender, subscription) in enumerate(far):
+            end.publish(sender, {"data": f"{mark} {which}"})
+            if mark not in _texts(end, subscription):
+                missing.add(f"the program's at hub {which}")
+        at_program = _texts(program, heard)
+        missing.update(
+            f"hub {which}'s at the program" for which in range(len(far)) if f"{mark} {which}" not in at_program
+        )
+        return not missing
+
+    try:
+        until(once, "probes cross", 30)
+    except AssertionError as error:
+        error.add_note(f"missing: {sorted(missing)}")
+        raise
