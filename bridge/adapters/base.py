@@ -12,9 +12,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar, Protocol
 
+from bridge.hub.call import Abandon, Call, Done
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.errors import MessageTypeError
+
+_NO_SERVICES = "{name}: services do not cross to {side}"
 
 Deliver = Callable[[bytes, str, int | None], None]
 """``deliver(payload, source, time_ns)``: one message in the side's wire bytes; ``source`` is the id of the endpoint
@@ -22,10 +26,12 @@ that published it, ``time_ns`` the source's time stamp on the system clock where
 
 
 class Kind(Enum):
-    """The two kinds of topic endpoint."""
+    """What an endpoint is."""
 
     PUBLISHER = "publisher"
     SUBSCRIPTION = "subscription"
+    SERVER = "server"
+    CLIENT = "client"
 
 
 class MadeBy(Enum):
@@ -38,12 +44,16 @@ class MadeBy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One publisher or subscription on a side's graph.
+    """One publisher, subscription, server or client on a side's graph.
+
+    An action is shown as ROS 2 has it, by every edge: the servers ``<action>/_action/send_goal``, ``cancel_goal`` and
+    ``get_result`` and the publishers ``<action>/_action/feedback`` and ``status``.
 
     Attributes:
         id: unique on the side while the endpoint lives (ROS 2: GID in hex; ROS 1: node name and topic).
-        topic: absolute name as the side spells it.
-        type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``).
+        topic: absolute name of the topic or service as the side spells it.
+        type: the type's name as the side spells it (ROS 1 ``std_msgs/String``, ROS 2 ``std_msgs/msg/String``; services
+            ``std_srvs/SetBool``, ``std_srvs/srv/SetBool``; an action's ``nav2_msgs/action/NavigateToPose_SendGoal``).
         type_id: what the endpoint itself announced of its type (md5 or RIHS01), "" where unknown.
         definition: full definition text where the middleware carries one (ROS 1 connection header), else "".
         node: fully qualified node name, for people.
@@ -119,6 +129,23 @@ class EdgePublisher(Protocol):
         """Give the endpoint back. Safe to call twice."""
 
 
+class EdgeCaller(Protocol):
+    """What calls the side's servers of one name."""
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        """Begin a call with the side's request bytes; see `bridge.hub.call.Call`. Never blocks, on no peer."""
+
+    def close(self) -> None:
+        """End every call that is under way with an error, and give the endpoint back. Safe to call twice."""
+
+
+class EdgeServer(Protocol):
+    """A server that the bridge holds on the side."""
+
+    def close(self) -> None:
+        """Abandon every call that is under way, tell its caller, and give the endpoint back. Safe to call twice."""
+
+
 class Edge(ABC):
     """One side's edge. Methods may be called from any thread after `start`; none of them blocks on a peer."""
 
@@ -163,6 +190,29 @@ class Edge(ABC):
     @abstractmethod
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Advertise on the side; raises `bridge.messages.errors.MessageTypeError` where the type cannot be used."""
+
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """Conversion of a server's type; raises `bridge.messages.errors.MessageTypeError`."""
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=endpoint.topic))
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """Conversion of a hub service's type; raises `bridge.messages.errors.MessageTypeError`."""
+        del type_hash
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=type_name))
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """What calls the side's server ``name``; raises `bridge.messages.errors.MessageTypeError`."""
+        del side_type
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve ``name`` on the side; ``call`` gets the side's request bytes and answers with the side's reply bytes.
+
+        ``call`` runs on a thread of the edge and returns at once. What ends with `bridge.hub.call.CallError` is told to
+        the caller as the side tells errors. Raises `bridge.messages.errors.MessageTypeError`.
+        """
+        del side_type, call
+        raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
 
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
         """Tell all other Midspan workers on this side's network, those that come later too; replaces the last record.

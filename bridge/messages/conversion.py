@@ -34,3 +34,24 @@ class Conversion:
     target: SideType
     convert: Callable[[bytes], bytes] | None
     left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConversion:
+    """How a service's requests and replies get from one wire to another; the same for calls in both directions.
+
+    Each is ``convert(payload: bytes) -> bytes`` and raises `bridge.messages.errors.ConversionError`; None where the
+    bytes are the same.
+
+    Attributes:
+        side: the service type as the side names it (ROS 1: ``std_srvs/SetBool`` and md5).
+        hub: as ROS 2 names it (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either is the
+            request's full text, a line ``---``, and the response's.
+    """
+
+    side: SideType
+    hub: SideType
+    request_to_side: Callable[[bytes], bytes] | None
+    request_to_hub: Callable[[bytes], bytes] | None
+    response_to_side: Callable[[bytes], bytes] | None
+    response_to_hub: Callable[[bytes], bytes] | None
