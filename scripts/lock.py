@@ -1,8 +1,13 @@
-"""Writes the lock files: the exact versions that `make` installs. Run it in the virtual environment, with Python 3.11.
+"""Writes the lock files: the exact versions that `make` installs.
+
+Run it on Linux, in the virtual environment, with Python 3.11.
 
 requirements.lock has what Midspan and its tests need, requirements-ros2.lock the ROS 2 wheels besides (not installed
 where a ROS 2 installation is sourced). What the oldest supported Python takes, the newer ones take as well; the
 continuous integration shows it. The files name versions only: pip finds them at whatever index it is set up for.
+
+Both serve every system in SYSTEMS: a line that is not for all of them says by a marker for which. What has no wheel at
+all on one of them carries a marker in pyproject.toml, by which it is left out there and `midspan doctor` names it.
 """
 
 from __future__ import annotations
@@ -12,37 +17,162 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
 ROOT = Path(__file__).resolve().parent.parent
 HEAD = "# Written by scripts/lock.py (`make lock`). Do not edit.\n"
+PYTHON = "3.11"
 
 
-def resolve(requirements: list[str]) -> dict[str, str]:
-    """Let pip choose versions for all requirements and what they need: version by name."""
+@dataclass(frozen=True, eq=False)
+class System:
+    """A system that the lock files serve.
+
+    Attributes:
+        tag: pip's name of the platform; "" for the system that this runs on.
+        environment: what markers see there (https://packaging.python.org/en/latest/specifications/dependency-specifiers/).
+        marker: matches this one of all systems.
+    """
+
+    tag: str
+    environment: Mapping[str, str]
+    marker: str
+
+    def takes(self, requirement: Requirement, extras: Iterable[str] = ()) -> bool:
+        """Whether the requirement's marker holds there, for one of the extras that were asked for."""
+        marker = requirement.marker
+        return marker is None or any(marker.evaluate({**self.environment, "extra": e}) for e in ("", *extras))
+
+
+def _environment(sys_platform: str, platform_system: str, os_name: str, machine: str) -> dict[str, str]:
+    return {
+        "sys_platform": sys_platform,
+        "platform_system": platform_system,
+        "os_name": os_name,
+        "platform_machine": machine,
+        "python_version": PYTHON,
+        "python_full_version": f"{PYTHON}.0",
+        "implementation_name": "cpython",
+        "platform_python_implementation": "CPython",
+    }
+
+
+_DARWIN = 'sys_platform == "darwin" and platform_machine'
+SYSTEMS = (
+    System("", _environment("linux", "Linux", "posix", "x86_64"), 'sys_platform == "linux"'),
+    System("win_amd64", _environment("win32", "Windows", "nt", "AMD64"), 'sys_platform == "win32"'),
+    System("macosx_14_0_arm64", _environment("darwin", "Darwin", "posix", "arm64"), f'{_DARWIN} == "arm64"'),
+    System("macosx_14_0_x86_64", _environment("darwin", "Darwin", "posix", "x86_64"), f'{_DARWIN} == "x86_64"'),
+)
+Versions = dict[str, str]
+"""Version by name."""
+
+
+def ask_pip(requirements: Iterable[str], system: System, wheels: Path) -> dict[str, dict[str, Any]]:
+    """Let pip choose versions for all requirements and what they need: what they are published with, by plain name."""
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
+    if system.tag:
+        command += ["--platform", system.tag, "--python-version", PYTHON, "--only-binary", ":all:"]
+        command += ["--target", str(wheels / "nothing"), "--find-links", str(wheels)]
     with tempfile.NamedTemporaryFile(suffix=".json") as report:
-        command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
-        subprocess.run([*command, "--report", report.name, *requirements], check=True)
+        done = subprocess.run([*command, "--report", report.name, *requirements], check=False)
+        if done.returncode:
+            sys.exit(f"no wheels for {system.tag or 'this system'}: what has none carries a marker in pyproject.toml")
         found: dict[str, Any] = json.load(report)
-    return {entry["metadata"]["name"]: entry["metadata"]["version"] for entry in found["install"]}
+    if not system.tag:
+        build_sources(found["install"], wheels)
+    return {canonicalize_name(entry["metadata"]["name"]): entry["metadata"] for entry in found["install"]}
 
 
-def write(file: str, versions: dict[str, str]) -> None:
+def build_sources(chosen: Iterable[Mapping[str, Any]], wheels: Path) -> None:
+    """Make wheels of what is published as source alone: pip takes nothing else for other systems."""
+    named = [
+        f"{e['metadata']['name']}=={e['metadata']['version']}"
+        for e in chosen
+        if ".whl" not in e["download_info"]["url"]
+    ]
+    if named:
+        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(wheels)]
+        subprocess.run([*command, *named], check=True)
+
+
+def reached(
+    requirements: Iterable[str], found: Mapping[str, Mapping[str, Any]], system: System
+) -> tuple[Versions, list[str]]:
+    """What the requirements need there, and of it what pip, going by its own system's markers, did not find."""
+    versions: Versions = {}
+    missing: list[str] = []
+    todo = [(Requirement(text), frozenset[str]()) for text in requirements]
+    seen = set()
+    while todo:
+        requirement, extras = todo.pop()
+        name = canonicalize_name(requirement.name)
+        asked = (name, frozenset(requirement.extras))
+        if asked in seen or not system.takes(requirement, extras):
+            continue
+        if name not in found:
+            missing.append(f"{requirement.name}{requirement.specifier}")
+            continue
+        seen.add(asked)
+        versions[found[name]["name"]] = found[name]["version"]
+        needed = found[name].get("requires_dist", ())
+        todo += [(Requirement(text), frozenset(requirement.extras)) for text in needed]
+    return versions, missing
+
+
+def resolve(requirements: list[str], system: System, wheels: Path) -> Versions:
+    """The versions for all requirements and what they need, on one system."""
+    wanted = [text for text in requirements if system.takes(Requirement(text))]
+    more: list[str] = []
+    while True:
+        found = ask_pip([_without_marker(text) for text in (*wanted, *more)], system, wheels)
+        versions, missing = reached(wanted, found, system)
+        if not missing:
+            return versions
+        more += missing
+
+
+def _without_marker(text: str) -> str:
+    return text.partition(";")[0].strip()
+
+
+def write(file: str, of_systems: Mapping[System, Versions]) -> None:
     """Write one lock file, sorted by name."""
-    lines = [f"{name}=={version}\n" for name, version in sorted(versions.items(), key=lambda item: item[0].lower())]
+    systems_of: dict[tuple[str, str], list[System]] = {}
+    for system, versions in of_systems.items():
+        for pin in versions.items():
+            systems_of.setdefault(pin, []).append(system)
+    lines = []
+    for (name, version), systems in sorted(systems_of.items(), key=lambda item: (item[0][0].lower(), item[0][1])):
+        marker = "" if len(systems) == len(SYSTEMS) else " ; " + " or ".join(system.marker for system in systems)
+        lines.append(f"{name}=={version}{marker}\n")
     (ROOT / file).write_text(HEAD + "".join(lines), encoding="utf-8")
 
 
 def main() -> None:
-    """Resolve everything at once, then find out which part needs no ROS 2 wheels."""
+    """Resolve everything at once for each system, then find out which part needs no ROS 2 wheels."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     base = [*project["dependencies"], *extras["dev"]]
-    whole = resolve([*base, *extras["ros2"]])
-    plain = resolve([*base, *(f"{name}=={whole[name]}" for name in resolve(base) if name in whole)])
+    plain: dict[System, Versions] = {}
+    ros2: dict[System, Versions] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for system in SYSTEMS:
+            whole = resolve([*base, *extras["ros2"]], system, Path(folder))
+            plain[system] = whole
+            if any(system.takes(Requirement(text)) for text in extras["ros2"]):
+                alone = resolve(base, system, Path(folder))
+                same = [f"{name}=={whole[name]}" for name in alone if name in whole]
+                plain[system] = resolve([*base, *same], system, Path(folder))
+            ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
     write("requirements.lock", plain)
-    write("requirements-ros2.lock", {name: version for name, version in whole.items() if name not in plain})
+    write("requirements-ros2.lock", ros2)
 
 
 if __name__ == "__main__":

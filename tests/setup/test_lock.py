@@ -1,4 +1,4 @@
-"""The lock files name exact versions, of everything that is needed, and what is installed here is what they say."""
+"""The lock files name exact versions of everything that is needed on each system; what is installed here is theirs."""
 
 from __future__ import annotations
 
@@ -7,42 +7,87 @@ import importlib.util
 import re
 import subprocess
 import tomllib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from tests.setup.machine import ROOT
 
-PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+")
+PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+( ; [a-z0-9_= \"]+)?")
+FILES = ("requirements.lock", "requirements-ros2.lock")
+SYSTEMS: dict[str, dict[str, str]] = {
+    "Linux": {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "platform_machine": "x86_64"},
+    "Windows": {"sys_platform": "win32", "platform_system": "Windows", "os_name": "nt", "platform_machine": "AMD64"},
+    "macOS": {"sys_platform": "darwin", "platform_system": "Darwin", "os_name": "posix", "platform_machine": "arm64"},
+    "Intel Mac": {
+        "sys_platform": "darwin",
+        "platform_system": "Darwin",
+        "os_name": "posix",
+        "platform_machine": "x86_64",
+    },
+}
+every_system = pytest.mark.parametrize("system", SYSTEMS)
 
 
-def plain(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def pins(*files: str) -> dict[str, str]:
+def pins(*files: str, system: str = "Linux") -> dict[str, str]:
+    """Version by name, of what the files say for a system."""
     lines = [line for file in files for line in (ROOT / file).read_text(encoding="utf-8").splitlines()]
     lines = [line for line in lines if not line.startswith("#")]
     assert [line for line in lines if not PIN.fullmatch(line)] == []
-    return {plain(name): version for name, _, version in (line.partition("==") for line in lines)}
+    locked: dict[str, str] = {}
+    for requirement in map(Requirement, lines):
+        if requirement.marker is None or requirement.marker.evaluate(SYSTEMS[system]):
+            name = canonicalize_name(requirement.name)
+            assert name not in locked, f"{name} has two versions for {system}"
+            locked[name] = str(requirement.specifier).removeprefix("==")
+    return locked
 
 
-def test_every_requirement_is_locked() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    for files, requirements in (
-        (["requirements.lock"], [*project["dependencies"], *extras["dev"]]),
-        (["requirements-ros2.lock"], extras["ros2"]),
-    ):
-        locked = pins(*files)
-        for requirement in requirements:
-            name, _, version = re.sub(r"\[.*?\]", "", requirement).partition("==")
-            name = re.split(r"[<>=]", name)[0]
-            assert plain(name) in locked, requirement
-            assert not version or locked[plain(name)] == version, requirement
+def lacking(requirements: Iterable[str], locked: Mapping[str, str], system: str) -> list[str]:
+    """Which of the requirements the locked versions do not meet on a system."""
+    environment = {**SYSTEMS[system], "extra": "", "python_version": "3.11", "python_full_version": "3.11.2"}
+    wanted = [r for r in map(Requirement, requirements) if r.marker is None or r.marker.evaluate(environment)]
+    return [str(r) for r in wanted if not r.specifier.contains(locked.get(canonicalize_name(r.name), "none"))]
+
+
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+@every_system
+def test_every_requirement_is_locked(system: str) -> None:
+    extras = project()["optional-dependencies"]
+    plain = pins("requirements.lock", system=system)
+    assert lacking([*project()["dependencies"], *extras["dev"]], plain, system) == []
+    assert lacking(extras["ros2"], pins("requirements-ros2.lock", system=system), system) == []
+
+
+@every_system
+def test_what_the_locked_need_is_locked(system: str) -> None:
+    """By what is installed here: every version that the system shares with this one."""
+    locked = pins(*FILES, system=system)
+    met = [name for name, version in locked.items() if installed(name) == version]
+    assert len(met) > 50
+    assert [f"{n} needs {r}" for n in met for r in lacking(importlib.metadata.requires(n) or (), locked, system)] == []
+
+
+def installed(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def test_ros2_wheels_are_for_linux_alone() -> None:
+    assert pins("requirements-ros2.lock")
+    assert [pins("requirements-ros2.lock", system=s) for s in SYSTEMS if s != "Linux"] == [{}, {}, {}]
 
 
 def test_the_locked_versions_are_installed() -> None:
-    files = ["requirements.lock"]
-    if importlib.util.find_spec("ros_wheels_bootstrapper"):
-        files.append("requirements-ros2.lock")
+    files = FILES if importlib.util.find_spec("ros_wheels_bootstrapper") else FILES[:1]
     locked = pins(*files)
     assert {name: importlib.metadata.version(name) for name in locked} == locked
 

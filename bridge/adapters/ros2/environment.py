@@ -21,7 +21,10 @@ SWITCHES = {
     "SKIP_DEFAULT_XML": "1",
 }
 UNSET = ("ROS_LOCALHOST_ONLY", "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML")
-_CURE = "install the wheels (pip install 'midspan[ros2]'), or source /opt/ros/jazzy/setup.bash with its own Python"
+_CURE = (
+    "install the wheels (pip install 'midspan[ros2]', on Linux and x86-64), or source /opt/ros/jazzy/setup.bash with"
+    " its own Python"
+)
 
 
 def available(config: Config) -> str:  # noqa: ARG001 - every side's function has the same form

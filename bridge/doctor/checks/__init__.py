@@ -14,6 +14,7 @@ from bridge.doctor.checks import (
     router,
     sharedmemory,
     types,
+    wheels,
     yarp,
 )
 from bridge.doctor.finding import Check
@@ -23,6 +24,7 @@ CHECKS: tuple[Check, ...] = (
     Check("daemon", "the daemon and its workers", daemon.look_at_workers),
     Check("router-port", "the router's port", router.look),
     Check("keys", "the certificates by which machines join (`hub.open`)", keys.look),
+    Check("wheels", "libraries that have no wheel on this system", wheels.look),
     Check("ros1-packages", "ROS 1 on this machine", ros1.look_at_packages),
     Check("ros1-master", "the ROS 1 master", ros1.look_at_master),
     Check("ros1-environment", "this shell's ROS 1 against the daemon's", ros1.look_at_environment),
