@@ -130,6 +130,14 @@ class HubGraph:
         """All subscriptions, or those of one topic."""
         return self._of_kind(EndpointKind.SUBSCRIPTION, topic)
 
+    def servers(self, name: str | None = None) -> list[HubEndpoint]:
+        """All servers, or those of one service."""
+        return self._of_kind(EndpointKind.SERVER, name)
+
+    def clients(self, name: str | None = None) -> list[HubEndpoint]:
+        """All clients, or those of one service."""
+        return self._of_kind(EndpointKind.CLIENT, name)
+
     def nodes(self) -> list[HubNode]:
         """All nodes, this session's own among them."""
         with self._lock:

@@ -14,7 +14,9 @@ from typing import Any, Self
 
 import zenoh
 
+from bridge.hub.call import Call
 from bridge.hub.control import Answer, Control, Handler
+from bridge.hub.errands import Errands
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.keyexpr import subscription_key, topic_key
@@ -31,11 +33,13 @@ from bridge.hub.liveliness import (
 from bridge.hub.origin import Origin
 from bridge.hub.publisher import HubPublisher, PublisherOptions
 from bridge.hub.qos import Qos
+from bridge.hub.service import HubClient, HubServer
 from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
 from bridge.hub.subscription import HubSample, HubSubscription, Refused
 
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _NODE = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
+_SERVICE_QOS = Qos(depth=10)  # rmw's, for servers and clients alike
 _NAMESPACE = re.compile(r"/|(?:/[A-Za-z_][A-Za-z0-9_]*){1,32}")
 
 
@@ -102,11 +106,12 @@ class Hub:
         self._lock = RLock()
         self._closed = False
         self._ids = itertools.count(1)
-        self._endpoints: set[HubPublisher | HubSubscription] = set()
+        self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
         self._control = Control(session, settings.domain, settings.daemon, settings.worker)
+        self._errands = Errands("hub-errands")
         self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
@@ -214,6 +219,43 @@ class Hub:
             self._endpoints.add(subscription)
             return subscription
 
+    def server(self, name: str, type_name: str, type_hash: str, call: Call) -> HubServer:
+        """Serve a service; it lives until it or the session is closed.
+
+        Args:
+            name: absolute name; of an action's service with its ``/_action/`` part.
+            type_name: as ROS 2 spells it, ``std_srvs/srv/SetBool``.
+            type_hash: RIHS01 of the service.
+            call: gets each request's CDR; runs on zenoh's receiving thread, begins the call and returns. Calls of this
+                very session are not delivered.
+        """
+        with self._lock:
+            self._check_open()
+            key = topic_key(self.domain, name, type_name, type_hash)
+            token = self._token(EndpointKind.SERVER, name, type_name, type_hash, _SERVICE_QOS)
+            drop = self._endpoints.discard
+            server = HubServer(self._session, self.graph, token, key, name, self.max_payload, call, drop)
+            self._endpoints.add(server)
+            return server
+
+    def client(self, name: str, type_name: str, type_hash: str, changed: Callable[[], None] | None = None) -> HubClient:
+        """Make what calls a service; it lives until it or the session is closed.
+
+        Args:
+            name: absolute name.
+            type_name: as ROS 2 spells it.
+            type_hash: RIHS01 of the service.
+            changed: called when there may be a server now, or none any more, on a thread of zenoh: it only wakes.
+        """
+        with self._lock:
+            self._check_open()
+            key = topic_key(self.domain, name, type_name, type_hash)
+            token = self._token(EndpointKind.CLIENT, name, type_name, type_hash, _SERVICE_QOS)
+            limit, drop = self.max_payload, self._endpoints.discard
+            client = HubClient(self._session, self.graph, token, key, name, limit, self._errands, changed, drop)
+            self._endpoints.add(client)
+            return client
+
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
         """Answer a verb of the control plane for this daemon and worker, until the returned function is called."""
         with self._lock:
@@ -237,6 +279,7 @@ class Hub:
         # the endpoints leave the graph before the origin and the node do
         for endpoint in tuple(self._endpoints):
             endpoint.close()
+        self._errands.close()
         self.graph.close()
         self._control.close()
         self._session.close()  # type: ignore[no-untyped-call]

@@ -1,7 +1,9 @@
 """A Midspan hub session in a process of its own, under a test's control. See `tests.support.peer` for the form.
 
 Argument: the settings in JSON. Commands: ``publisher`` and ``subscription`` topic, latched, depth -> id; ``put`` id,
-text; ``wait`` id, count, seconds -> texts; ``drop`` id; ``origin`` side, network, daemon; ``exit``.
+text; ``wait`` id, count, seconds -> texts; ``drop`` id; ``origin`` side, network, daemon; ``serve`` name, type, hash,
+hold: answer each request with itself, or never; ``requests`` -> count; ``call`` name, type, hash: ask, and wait for
+nothing; ``exit``.
 """
 
 from __future__ import annotations
@@ -11,11 +13,13 @@ import sys
 import threading
 from typing import Any
 
+from bridge.hub.call import Abandon, Done
 from bridge.hub.origin import Origin
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub, HubSettings
 from bridge.hub.subscription import HubSample, HubSubscription
+from tests.support.wait import until
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + "5e" * 32
 
@@ -28,6 +32,7 @@ class HubPeer:
         self._endpoints: list[HubPublisher | HubSubscription] = []
         self._texts: dict[int, list[str]] = {}
         self._came = threading.Condition()
+        self._requests = 0
 
     def publisher(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints.append(self._hub.publisher(params["topic"], TYPE, HASH, qos(params)))
@@ -65,6 +70,25 @@ class HubPeer:
     def origin(self, params: dict[str, Any]) -> dict[str, Any]:
         self._hub.set_origin(Origin(params["side"], params["network"], params["daemon"]))
         return {"zid": self._hub.zid}
+
+    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
+        def asked(request: bytes, done: Done) -> Abandon:
+            self._requests += 1
+            if not params.get("hold"):
+                done(request)
+            return lambda: None
+
+        self._hub.server(params["name"], params["type"], params["hash"], asked)
+        return {}
+
+    def requests(self, _params: dict[str, Any]) -> dict[str, Any]:
+        return {"count": self._requests}
+
+    def call(self, params: dict[str, Any]) -> dict[str, Any]:
+        client = self._hub.client(params["name"], params["type"], params["hash"])
+        until(lambda: client.ready, "a server")
+        client.call(b"from a peer", lambda _result: None)
+        return {}
 
 
 def qos(params: dict[str, Any]) -> Qos:
