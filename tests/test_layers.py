@@ -16,8 +16,9 @@ BELOW = {
     "interfaces": {"config", "messages"},
     "hub": {"config", "messages", "worker"},
     "routing": {"config", "messages", "hub", "adapters.base"},
+    "modules": {"config", "messages", "hub", "routing.counters", "backoff", "worker"},
     "adapters": {"config", "messages", "interfaces", "hub", "routing", "worker"},
-    "daemon": {"config", "messages", "interfaces", "hub", "routing", "adapters", "worker"},
+    "daemon": {"config", "messages", "interfaces", "hub", "routing", "adapters", "backoff", "worker"},
 }
 """What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""
 

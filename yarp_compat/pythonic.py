@@ -80,7 +80,7 @@ class Received:
 
     def reply(self, content: Content) -> None:
         """Answer, once."""
-        self.raw.reply(_writer(content)(self._reply_profile))
+        self.raw.reply(payload_of(content)(self._reply_profile))
 
 
 class OpenPort:
@@ -211,7 +211,7 @@ class Writer(OpenPort):
         Returns:
             how many connections took it.
         """
-        return self.core.write(_writer(content), envelope, strict=strict)
+        return self.core.write(payload_of(content), envelope, strict=strict)
 
 
 class Client(OpenPort):
@@ -244,7 +244,7 @@ class Client(OpenPort):
             TimeoutError: there was none in so many seconds.
             ConnectionError: the server is gone.
         """
-        return binary.decode(self.core.request(_writer(content), timeout=timeout))
+        return binary.decode(self.core.request(payload_of(content), timeout=timeout))
 
 
 class Server(OpenPort):
@@ -268,7 +268,7 @@ class Server(OpenPort):
         received.reply(self._respond(received.values))
 
 
-def _writer(content: Content) -> Callable[[Profile], Payload]:
+def payload_of(content: Content) -> Callable[[Profile], Payload]:
     """What makes the bytes of what is sent, in a peer's dialect."""
     if isinstance(content, Portable):
         return content.to_wire

@@ -130,6 +130,8 @@ def _figures(document: Document) -> str:
         parts.append(f"{side_name(document.get('side'))} network {clean(document['network'])}")
     elif document.get("state") == "waiting":
         parts.append(f"{side_name(document.get('side'))} is away")
+    if document.get("text"):
+        parts.append(clean(document["text"]))
     if document.get("listen"):
         parts.append(f"listens at {clean(document['listen'])}, {_sessions(document)}")
     routes = route_list(document)

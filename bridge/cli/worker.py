@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +56,14 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args)
     if kind.environment and not args.prepared:
         _enter_environment(kind, config, args)
-    code = Process(kind, control=args.control).run_alone(config, lambda: _config(args))
+    return run_alone(kind, config, lambda: _config(args), control=args.control)
+
+
+def run_alone(kind: WorkerKind, config: Config, load: Callable[[], Config], *, control: bool = False) -> int:
+    """Run a worker in this process without the daemon; the exit code."""
+    from bridge.daemon.process import Process
+
+    code = Process(kind, control=control).run_alone(config, load)
     if code is None:
         logging.getLogger("midspan").info("starting again")
         os.execv(sys.executable, sys.orig_argv)  # noqa: S606  this very command

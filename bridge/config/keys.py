@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import types
 import typing
 from collections.abc import Iterator
@@ -53,7 +54,8 @@ def keys(model: type[BaseModel]) -> Iterator[Key]:
 
 
 def _section_text(section: type[BaseModel], *, is_list: bool) -> str:
-    return f"list of {section.__name__.lower()}s" if is_list else "section"
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", section.__name__).lower()
+    return f"list of {words}s" if is_list else "section"
 
 
 def _default(info: FieldInfo) -> str | None:

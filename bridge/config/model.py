@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from bridge.config.sections.hub import HubSection
+from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.ros1 import Ros1Section
 from bridge.config.sections.ros2 import Ros2Section
 from bridge.config.sections.routing import RoutingSection
@@ -72,6 +73,7 @@ class Config(Section):
         default_factory=ZenohSection, description="The other key dialects in use on zenoh networks."
     )
     yarp: YarpSection = Field(default_factory=YarpSection, description="The YARP side.")
+    modules: ModulesSection = Field(default_factory=ModulesSection, description="The modules that Midspan hosts.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
     routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
     limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")

@@ -11,9 +11,9 @@ from enum import Enum
 
 import psutil
 
+from bridge.backoff import Backoff
 from bridge.config.model import Config
 from bridge.daemon import state
-from bridge.daemon.backoff import Backoff
 from bridge.daemon.link import Exit, Link, PipeLink, kill_group
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop

@@ -57,6 +57,8 @@ class WorkerKind:
             return False
         if self.name == "yarp" and config.yarp.enabled == "auto" and self.missing(config):
             return False
+        if self.name == "modules":
+            return config.modules.enabled if config.modules.sections else False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
     def missing(self, config: Config) -> str:
@@ -101,6 +103,9 @@ WORKERS = (
     _side("ros2"),
     _side("yarp"),
     _side("zenoh"),
+    WorkerKind(
+        "modules", "bridge.modules.worker:ModulesWorker", sections=frozenset({"modules", "types", "limits", "yarp"})
+    ),
 )
 
 

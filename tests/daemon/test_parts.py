@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bridge.config import Config
 from bridge.config.state import state_folder
 from bridge.daemon import log
-from bridge.daemon.backoff import Backoff
+from bridge.backoff import Backoff
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop
 from bridge.daemon.protocol import (

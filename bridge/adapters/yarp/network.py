@@ -117,10 +117,7 @@ class YarpNetwork:
 
 def address_of(section: YarpSection) -> Address | None:
     """What the configuration says of the name server's place, None where yarp.conf is to say it."""
-    if section.address is None:
-        return None
-    host, _, port = section.address.rpartition(":")
-    return Address(host.strip("[]"), int(port))
+    return None if section.place is None else Address(*section.place)
 
 
 def _is_here(place: Address) -> bool:

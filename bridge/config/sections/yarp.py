@@ -156,6 +156,14 @@ class YarpSection(Section):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     @property
+    def place(self) -> tuple[str, int] | None:
+        """Host and port of the name server, None where yarp.conf is to say it."""
+        if self.address is None:
+            return None
+        host, _, port = self.address.rpartition(":")
+        return host.strip("[]"), int(port)
+
+    @property
     def configured(self) -> bool:
         """Whether anything is said here."""
         return self.model_copy(update={"enabled": "auto"}) != YarpSection()

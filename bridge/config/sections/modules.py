@@ -1,0 +1,62 @@
+"""The section ``modules``: what Midspan hosts."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from bridge.config.sections.section import Section
+
+_FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,62}")
+
+
+class OwnModule(Section):
+    """A module of one's own."""
+
+    name: str = Field(description="Its name on the hub: small letters, digits and underscores.")
+    factory: str = Field(
+        description="Where its class is, as `package.module:Class`; the package is installed beside Midspan."
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="What it is started with.")
+
+    @field_validator("name")
+    @classmethod
+    def _name_is_a_node(cls, value: str) -> str:
+        if not _NAME.fullmatch(value):
+            msg = f"{value!r} is no name of a module: small letters, digits and underscores, a letter first"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("factory")
+    @classmethod
+    def _factory_is_a_class(cls, value: str) -> str:
+        if not _FACTORY.fullmatch(value):
+            msg = f"{value!r} names no class: write package.module:Class"
+            raise ValueError(msg)
+        return value
+
+
+class ModulesSection(Section):
+    """The modules that Midspan hosts, in one worker."""
+
+    enabled: Literal["auto", False] = Field(
+        default="auto", description="`auto`: those that are switched on run; `false`: none does."
+    )
+    own: tuple[OwnModule, ...] = Field(default=(), description="Modules of one's own.")
+
+    @property
+    def sections(self) -> dict[str, Section]:
+        """The sections of the modules that are switched on, by name."""
+        return {module.name: module for module in self.own}
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> ModulesSection:
+        names = [module.name for module in self.own]
+        taken = [name for name in names if names.count(name) > 1 or name in type(self).model_fields]
+        if taken:
+            msg = f"two modules are called {taken[0]}"
+            raise ValueError(msg)
+        return self

@@ -1,0 +1,75 @@
+"""What a module is given: its hub node, its YARP ports, its thread, its folder."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.config.state import worker_folder
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from bridge.modules.ports import Ports
+
+
+class Host:
+    """All that a module needs of the outside. One for each start of a module.
+
+    Attributes:
+        config: the whole configuration.
+        loop: the module's thread.
+        node: its node on the hub.
+        yarp: its YARP ports.
+        log: its logger.
+    """
+
+    def __init__(self, name: str, config: Config, registry: Registry) -> None:
+        self.name, self.config = name, config
+        self.log = logging.getLogger(f"midspan.{name}")
+        self.loop = Loop(f"midspan-{name}")
+        hub = Hub.open(
+            HubSettings(
+                domain=config.hub.domain,
+                router=config.hub.listen,
+                zenoh=config.hub.zenoh,
+                shared_memory=config.hub.shared_memory,
+                node=name,
+                namespace="/",
+                daemon=config.name,
+                worker=name,
+                max_payload=config.limits.message_bytes,
+            )
+        )
+        self.node = Node(hub, registry, self.loop)
+        self.yarp = Ports(config)
+
+    @property
+    def folder(self) -> Path:
+        """The module's own folder in the state folder, made where it is not there."""
+        folder = worker_folder(self.config) / self.name
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
+        """Answer a verb of the control plane under the module's name, on a thread of the hub."""
+        self.node.hub.serve(verb, handler)
+
+    def status(self) -> dict[str, Any]:
+        """Its ends, as they stand in the status document."""
+        return {"topics": self.node.status(), "ports": self.yarp.status()}
+
+    def tick(self) -> None:
+        """Count rates; called once a second."""
+        self.node.tick()
+        self.yarp.tick()
+
+    def close(self) -> None:
+        """Close everything that was handed out."""
+        self.yarp.close()
+        self.node.close()
+        self.loop.close()
+        self.node.hub.close()

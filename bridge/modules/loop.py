@@ -1,0 +1,154 @@
+"""A module's own thread: messages, timers and calls, one after the other."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+_log = logging.getLogger(__name__)
+_ANSWER_SECONDS = 5.0
+
+Action = Callable[[], Any]
+
+
+class Loop:
+    """Runs actions in order on one thread. Safe to use from any thread.
+
+    What is posted is bounded by who posts it: a subscription posts itself once, however many messages wait in it.
+
+    Args:
+        name: of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._condition = threading.Condition()
+        self._ready: deque[Action] = deque()
+        self._timers: list[tuple[float, int, Timer]] = []
+        self._numbers = itertools.count()
+        self._closed = False
+        self._busy_since: float | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def post(self, action: Action) -> None:
+        """Run an action soon; after the loop's end it is dropped."""
+        with self._condition:
+            if not self._closed:
+                self._ready.append(action)
+                self._condition.notify()
+
+    def call(self, action: Callable[[], Any], seconds: float = _ANSWER_SECONDS) -> Any:
+        """Run an action on the thread and return its result, or raise what it raised.
+
+        Raises:
+            TimeoutError: the thread has not come to it in time.
+        """
+        if threading.current_thread() is self._thread:
+            return action()
+        done = threading.Event()
+        result: list[Any] = []
+        error: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                result.append(action())
+            except BaseException as err:
+                error.append(err)
+            done.set()
+
+        self.post(run)
+        if not done.wait(seconds):
+            msg = f"{self._name} has not answered for {seconds:g} s"
+            raise TimeoutError(msg)
+        if error:
+            raise error[0]
+        return result[0]
+
+    def every(self, seconds: float, action: Action) -> Timer:
+        """Run an action every so many seconds; a time that was missed is left out."""
+        timer = Timer(self, seconds, action, again=True)
+        self._put(time.monotonic() + seconds, timer)
+        return timer
+
+    def after(self, seconds: float, action: Action) -> Timer:
+        """Run an action once, so many seconds from now."""
+        timer = Timer(self, seconds, action, again=False)
+        self._put(time.monotonic() + seconds, timer)
+        return timer
+
+    def stuck_for(self) -> float:
+        """Seconds for which the action at hand has run."""
+        since = self._busy_since
+        return 0.0 if since is None else time.monotonic() - since
+
+    def close(self, seconds: float = 2.0) -> None:
+        """End the thread once the action at hand is done; the others are dropped. Safe to call twice."""
+        with self._condition:
+            self._closed = True
+            self._ready.clear()
+            self._timers.clear()
+            self._condition.notify()
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(seconds)
+
+    def _put(self, due: float, timer: Timer) -> None:
+        with self._condition:
+            if not self._closed:
+                heapq.heappush(self._timers, (due, next(self._numbers), timer))
+                self._condition.notify()
+
+    def _run(self) -> None:
+        while True:
+            action = self._next()
+            if action is None:
+                return
+            self._busy_since = time.monotonic()
+            try:
+                action()
+            except Exception:
+                _log.exception("%s: one step failed", self._name)
+            self._busy_since = None
+
+    def _next(self) -> Action | None:
+        with self._condition:
+            while not self._closed:
+                now = time.monotonic()
+                if self._timers and self._timers[0][0] <= now:
+                    due, _, timer = heapq.heappop(self._timers)
+                    if timer.again and not timer.closed:
+                        missed = (now - due) // timer.seconds
+                        again = due + (missed + 1) * timer.seconds
+                        heapq.heappush(self._timers, (again, next(self._numbers), timer))
+                    return timer.run
+                if self._ready:
+                    return self._ready.popleft()
+                self._condition.wait(self._timers[0][0] - now if self._timers else None)
+        return None
+
+
+class Timer:
+    """An action with a time; made by `Loop.every` and `Loop.after`."""
+
+    def __init__(self, loop: Loop, seconds: float, action: Action, *, again: bool) -> None:
+        self.seconds, self.again = seconds, again
+        self.closed = False
+        self._loop, self._action = loop, action
+
+    def run(self) -> None:
+        """Run the action, unless the timer is closed."""
+        if not self.closed:
+            self._action()
+
+    def close(self) -> None:
+        """Run it no more."""
+        self.closed = True

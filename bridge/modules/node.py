@@ -1,0 +1,176 @@
+"""A module's node on the hub: topics whose messages are Python values."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from bridge.hub.publisher import HubPublisher
+from bridge.hub.qos import Qos
+from bridge.hub.session import Hub
+from bridge.hub.subscription import HubSample, HubSubscription
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from bridge.messages.values import Reader, Writer
+from bridge.modules.loop import Loop
+from bridge.routing.counters import Counters
+
+_log = logging.getLogger(__name__)
+
+Heard = Callable[[dict[str, Any]], None]
+
+
+class Publisher:
+    """Publishes values on one topic; made by `Node.publisher`. Safe to use from any thread."""
+
+    def __init__(self, publisher: HubPublisher, registry: Registry, type_name: str) -> None:
+        self.topic, self.type_name = publisher.topic, type_name
+        self.counters = Counters()
+        self._publisher = publisher
+        self._schema = registry.schema(type_name)
+
+    def publish(self, message: Mapping[str, Any]) -> None:
+        """Publish a message; fields that are missing have their defaults.
+
+        Raises:
+            ConversionError: a field is unknown, or its value does not fit.
+        """
+        self.publish_cdr(Writer(self._schema).message(message))
+
+    def publish_cdr(self, payload: bytes) -> None:
+        """Publish a message that is already CDR."""
+        self._publisher.put(payload)
+        self.counters.crossed(len(payload))
+
+    def close(self) -> None:
+        """Give the endpoint back."""
+        self._publisher.close()
+
+
+class Subscription:
+    """Hears one topic; made by `Node.subscription`. Messages wait in a bounded queue; the oldest make room."""
+
+    def __init__(
+        self, node: Node, topic: str, type_name: str, type_hash: str, heard: Callable[[bytes], None], depth: int
+    ) -> None:
+        self.topic, self.type_name = topic, type_name
+        self.counters = Counters()
+        self._loop, self._heard = node.loop, heard
+        self._check = node.registry.hub_check(type_name, type_hash)
+        self._lock = threading.Lock()
+        self._queue: deque[HubSample] = deque()
+        self._depth = depth
+        self.end: HubSubscription | None = None
+
+    def take(self, sample: HubSample) -> None:
+        """Queue a sample, on zenoh's thread."""
+        with self._lock:
+            self._queue.append(sample)
+            full = len(self._queue) > self._depth
+            if full:
+                self._queue.popleft()
+            wake = len(self._queue) == 1
+        if full:
+            self.counters.dropped("queue")
+        if wake or full:
+            self._loop.post(self._run)
+
+    def refused(self, reason: str, why: str) -> None:
+        """Count what the hub left out."""
+        self.counters.dropped(reason)
+        self.counters.failed(why)
+
+    def _run(self) -> None:
+        with self._lock:
+            sample = self._queue.popleft() if self._queue else None
+            more = bool(self._queue)
+        if more:
+            self._loop.post(self._run)
+        if sample is None:
+            return
+        try:
+            payload = self._check(sample.data())
+        except ConversionError as err:
+            self.refused("bad", str(err))
+            _log.warning("%s: message refused: %s", self.topic, err)
+            return
+        self.counters.crossed(len(payload))
+        self._heard(payload)
+
+    def close(self) -> None:
+        """Hear no more."""
+        if self.end is not None:
+            self.end.close()
+        with self._lock:
+            self._queue.clear()
+
+
+class Node:
+    """A module's node. Its ends are closed with it.
+
+    Attributes:
+        hub: its session.
+        registry: of types.
+        loop: the thread on which its callbacks run.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, loop: Loop) -> None:
+        self.hub, self.registry, self.loop = hub, registry, loop
+        self._ends: list[Publisher | Subscription] = []
+
+    def publisher(self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream") -> Publisher:
+        """Make a publisher; raises `bridge.messages.errors.MessageTypeError` for a type that nobody knows."""
+        side = self.registry.ros2(type_name)
+        end = self.hub.publisher(topic, type_name, side.type_id, qos or Qos(), priority=priority)
+        made = Publisher(end, self.registry, type_name)
+        self._ends.append(made)
+        return made
+
+    def subscription(self, topic: str, type_name: str, heard: Heard, qos: Qos | None = None) -> Subscription:
+        """Hear a topic's messages as values, on the module's thread; arrays of numbers share the message's memory."""
+        schema = self.registry.schema(type_name)
+        return self.subscription_cdr(topic, type_name, lambda payload: heard(Reader(schema, payload).message()), qos)
+
+    def subscription_cdr(
+        self, topic: str, type_name: str, heard: Callable[[bytes], None], qos: Qos | None = None
+    ) -> Subscription:
+        """Hear a topic's messages as checked CDR bytes, on the module's thread."""
+        side = self.registry.ros2(type_name)
+        qos = qos or Qos()
+        made = Subscription(self, topic, type_name, side.type_id, heard, max(qos.depth, 1))
+        made.end = self.hub.subscription(topic, type_name, side.type_id, qos, made.take, made.refused)
+        self._ends.append(made)
+        return made
+
+    def tick(self) -> None:
+        """Count rates; called once a second."""
+        for end in self._ends:
+            end.counters.tick()
+
+    def status(self) -> list[dict[str, Any]]:
+        """Its ends, as they stand in the status document."""
+        return [
+            {
+                "topic": end.topic,
+                "type": end.type_name,
+                "end": "publisher" if isinstance(end, Publisher) else "subscription",
+                **end.counters.as_dict(),
+            }
+            for end in self._ends
+        ]
+
+    def close(self) -> None:
+        """Give back all ends."""
+        ends, self._ends = self._ends, []
+        for end in ends:
+            end.close()
+
+
+def stamp_now() -> dict[str, int]:
+    """The system's time as ``builtin_interfaces/msg/Time``."""
+    seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+    return {"sec": seconds, "nanosec": nanoseconds}

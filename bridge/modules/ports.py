@@ -1,0 +1,198 @@
+"""A module's YARP ports: they are opened when a name server answers, and kept registered by `yarp_compat`."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from bridge.config.model import Config
+from bridge.routing.counters import Counters
+from yarp_compat.dev.server import Server
+from yarp_compat.dev.service import Service
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.pythonic import Content, Received, payload_of
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.profile import Profile
+
+_log = logging.getLogger(__name__)
+
+_AGAIN = 1.0
+"""Seconds after which a port that could not be opened is tried again."""
+
+_ASK_SECONDS = 2.0
+
+Respond = Callable[[list[Any]], Content]
+Take = Callable[[Received], None]
+
+
+class HostedPort:
+    """One port. It may be written to before it is open; nobody hears it then.
+
+    Attributes:
+        name: as it is registered.
+        trouble: why it is not open, "" where it is.
+    """
+
+    def __init__(self, core: PortCore, answers: Generations | None = None) -> None:
+        self.name = core.name
+        self.core = core
+        self.answers = answers
+        self.counters = Counters()
+        self.trouble = "not opened yet"
+
+    @property
+    def heard(self) -> bool:
+        """Whether anybody is connected to its output."""
+        return bool(self.core.connections.outputs)
+
+    def write(self, content: Content, envelope: str = "") -> int:
+        """Send a message to all that are connected, waiting for nobody; returns how many took it."""
+        if self.trouble:
+            return 0
+        took: int = self.core.write(payload_of(content), envelope, strict=False)
+        if took:
+            self.counters.crossed(0)
+        return took
+
+    def status(self) -> dict[str, Any]:
+        """The port, as it stands in the status document."""
+        document = {"port": self.name, "state": "waiting" if self.trouble else "open", **self.counters.as_dict()}
+        if self.trouble:
+            document["error"] = self.trouble
+        if self.answers is not None:
+            peers = self.answers.explain()
+            document["peers"] = [f"{d.peer}: {d.generation.name}, {d.reason}" for d in peers]
+        return document
+
+
+class Ports:
+    """The ports of one module. What a port calls runs on the thread of its connection, several at a time.
+
+    Args:
+        config: the configuration; its section ``yarp`` says which name server there is.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._profile = Profile(config.yarp.profile)
+        self.naming = NameClient(_address(config), namespace=config.yarp.namespace, timeout=_ASK_SECONDS)
+        self._ports: list[HostedPort] = []
+        self._wake = threading.Event()
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    def serve(self, name: str, service: Service) -> HostedPort:
+        """Offer an interface to YARP clients of every release."""
+        answers = Generations(Generation.newest(self._profile))
+        server = Server(service, answers)
+        port = self._made(name, server, is_output=False, rpc=True, on_event=server.on_event)
+        port.answers = answers
+        return port
+
+    def respond(self, name: str, respond: Respond) -> HostedPort:
+        """Answer Bottles of words, as the modules' own RPC ports do; an exception answers ``[fail]`` and its text."""
+
+        def take(message: Message) -> None:
+            received = Received(message, self._profile)
+            try:
+                answer = respond(received.values)
+            except (ValueError, WireError) as err:
+                answer = ["[fail]", str(err)]
+            if message.wants_reply:
+                received.reply(answer)
+
+        return self._made(name, take, rpc=True)
+
+    def input(self, name: str, take: Take) -> HostedPort:
+        """Hear what YARP programs write to a port."""
+
+        def taken(message: Message) -> None:
+            port.counters.crossed(len(message.payload))
+            try:
+                take(Received(message, self._profile))
+            except WireError as err:
+                port.counters.dropped("bad")
+                if port.counters.failed(str(err)):
+                    _log.warning("%s: message refused: %s", name, err)
+
+        port = self._made(name, taken, is_output=False)
+        return port
+
+    def output(self, name: str, type_name: str = "") -> HostedPort:
+        """Write to whoever connects."""
+        return self._made(name, None, is_input=False, type_name=type_name)
+
+    def status(self) -> list[dict[str, Any]]:
+        """All ports, as they stand in the status document."""
+        return [port.status() for port in self._ports]
+
+    def tick(self) -> None:
+        """Count rates; called once a second."""
+        for port in self._ports:
+            port.counters.tick()
+
+    def trouble(self) -> str:
+        """Why some port is not open, "" where all are."""
+        return next((f"{port.name}: {port.trouble}" for port in self._ports if port.trouble), "")
+
+    def close(self) -> None:
+        """Close all ports."""
+        self._closed = True
+        self._wake.set()
+        if self._thread is not None:
+            self._thread.join(_ASK_SECONDS + 0.5)
+        for port in self._ports:
+            port.core.close()
+        self._ports = []
+
+    def _made(self, name: str, on_message: Callable[[Message], Any] | None, **options: Any) -> HostedPort:
+        core = PortCore(
+            name,
+            on_message=on_message,
+            naming=self.naming,
+            profile=self._profile,
+            limit=self._config.limits.message_bytes,
+            host=self._config.yarp.ip,
+            **options,
+        )
+        port = HostedPort(core)
+        self._ports.append(port)
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="midspan-ports", daemon=True)
+            self._thread.start()
+        self._wake.set()
+        return port
+
+    def _run(self) -> None:
+        while not self._closed:
+            self._wake.clear()
+            waiting = [port for port in list(self._ports) if port.trouble]
+            for port in waiting:
+                if self._closed:
+                    return
+                self._open(port)
+            self._wake.wait(_AGAIN if any(port.trouble for port in self._ports) else None)
+
+    def _open(self, port: HostedPort) -> None:
+        try:
+            port.core.open()
+        except OSError as err:
+            if str(err) != port.trouble:
+                _log.info("%s cannot be opened yet: %s", port.name, err)
+            port.trouble = str(err) or type(err).__name__
+        except Exception as err:
+            _log.exception("%s cannot be opened", port.name)
+            port.trouble = f"{type(err).__name__}: {err}"
+        else:
+            port.trouble = ""
+
+
+def _address(config: Config) -> Address | None:
+    place = config.yarp.place
+    return None if place is None else Address(*place)

@@ -1,0 +1,1 @@
+"""The host of modules, with a module of the tests' own."""

@@ -1,0 +1,55 @@
+"""A module that says again what it hears, on the hub and on YARP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.sections.modules import OwnModule
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.worker import Health
+
+
+class Echo(Module):
+    """Says what comes on ``/heard`` and ``/<name>/heard:i`` on ``/said`` and ``/<name>/said:o``."""
+
+    name = "echo"
+
+    def start(self, host: Host, section: OwnModule) -> None:
+        if section.options.get("refuse"):
+            msg = "it was told to refuse"
+            raise RuntimeError(msg)
+        self.prefix = section.options.get("prefix", "")
+        self.host = host
+        self.heard = 0
+        self.out = host.node.publisher("/said", "std_msgs/msg/String")
+        self.port = host.yarp.output(f"/{section.name}/said:o")
+        host.node.subscription("/heard", "std_msgs/msg/String", self.hear)
+        host.yarp.respond(f"/{section.name}/rpc", lambda values: ["said", *values])
+        host.yarp.input(f"/{section.name}/heard:i", lambda received: self.say(str(received.values[0])))
+
+    def hear(self, message: dict[str, Any]) -> None:
+        self.heard += 1
+        if message["data"] == "break":
+            raise ValueError(message["data"])
+        self.say(message["data"])
+
+    def say(self, text: str) -> None:
+        self.out.publish({"data": self.prefix + text})
+        self.port.write([self.prefix + text])
+
+    def reload(self, section: OwnModule) -> bool:
+        if "restart" in section.options:
+            return False
+        self.prefix = section.options.get("prefix", "")
+        return True
+
+    def health(self) -> Health:
+        return Health("running", f"heard {self.heard}")
+
+    def status(self) -> dict[str, Any]:
+        return {"heard": self.heard}
+
+
+class NoModule:
+    """Something else."""

@@ -1,0 +1,54 @@
+"""``midspan module``, as a process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import yaml
+
+from bridge.hub.session import Hub
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, "-m", "bridge.cli.main", "module"]
+
+
+def _config(folder: Path, endpoint: str) -> Path:
+    file = folder / "midspan.yaml"
+    own = [{"name": "echo", "factory": "tests.modules.echo:Echo"}]
+    yarp = {"address": "127.0.0.1:9"}
+    tree = {"name": "here", "state": str(folder), "hub": {"listen": endpoint}, "modules": {"own": own}, "yarp": yarp}
+    file.write_text(yaml.safe_dump(tree))
+    return file
+
+
+def test_one_module_runs_alone_and_stops_cleanly(tmp_path: Path) -> None:
+    hubs = QuickHub()
+    try:
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        command = [*COMMAND, "echo", "--config", str(_config(tmp_path, hubs.endpoint))]
+        program = subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True)
+        try:
+            with Hub.open(hubs.settings("far")) as far:
+                until(lambda: far.ask("status", {}, worker="echo"), "the module answers", 30)
+                program.send_signal(signal.SIGTERM)
+                assert program.wait(20) == 0
+                until(lambda: not [n for n in far.graph.nodes() if n.node == "echo"], "its node left")
+        finally:
+            program.kill()
+            program.communicate()
+    finally:
+        hubs.stop_router()
+
+
+def test_a_module_that_is_not_switched_on_is_refused_with_those_that_are(tmp_path: Path) -> None:
+    command = [*COMMAND, "nothing", "--config", str(_config(tmp_path, "tcp/127.0.0.1:9"))]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "modules.nothing is not switched on" in done.stderr
+    assert "echo" in done.stderr

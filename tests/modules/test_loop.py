@@ -1,0 +1,87 @@
+"""A module's own thread."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from bridge.modules.loop import Loop
+
+
+@pytest.fixture
+def loop() -> Iterator[Loop]:
+    made = Loop("a loop")
+    made.start()
+    yield made
+    made.close()
+
+
+def test_actions_run_in_order_on_one_thread(loop: Loop) -> None:
+    seen: list[tuple[int, int]] = []
+    for number in range(100):
+        loop.post(lambda n=number: seen.append((n, threading.get_ident())))
+    loop.call(lambda: None)
+    assert [n for n, _ in seen] == list(range(100))
+    assert len({thread for _, thread in seen} - {threading.get_ident()}) == 1
+
+
+def test_a_call_gives_the_result_and_the_error_and_may_be_nested(loop: Loop) -> None:
+    assert loop.call(lambda: loop.call(lambda: 7)) == 7
+    with pytest.raises(ZeroDivisionError):
+        loop.call(lambda: 1 // 0)
+
+
+def test_what_fails_does_not_end_the_thread(loop: Loop, caplog: pytest.LogCaptureFixture) -> None:
+    loop.post(lambda: 1 // 0)
+    assert loop.call(lambda: "on") == "on"
+    assert "one step failed" in caplog.text
+
+
+def test_a_timer_leaves_out_the_times_that_were_missed(loop: Loop) -> None:
+    ran = threading.Semaphore(0)
+    timer = loop.every(0.01, ran.release)
+    for _ in range(3):
+        assert ran.acquire(timeout=10)
+    loop.call(lambda: time.sleep(0.2))  # twenty times are missed
+    timer.close()
+    loop.call(lambda: None)
+    left = 0
+    while ran.acquire(blocking=False):
+        left += 1
+    assert left <= 3
+
+
+def test_a_timer_that_is_closed_runs_no_more(loop: Loop) -> None:
+    ran: list[int] = []
+    late = loop.after(0.05, lambda: ran.append(1))
+    late.close()
+    done = threading.Event()
+    loop.after(0.1, done.set)
+    assert done.wait(10)
+    assert not ran
+
+
+def test_a_step_that_stands_still_is_told(loop: Loop) -> None:
+    gate, begun = threading.Event(), threading.Event()
+    loop.post(lambda: (begun.set(), gate.wait(10)))
+    assert begun.wait(10)
+    with pytest.raises(TimeoutError, match="a loop has not answered"):
+        loop.call(lambda: None, seconds=0.05)
+    assert loop.stuck_for() > 0.04
+    gate.set()
+    loop.call(lambda: None)
+    assert loop.stuck_for() < 0.04
+
+
+def test_after_the_end_nothing_is_taken() -> None:
+    loop = Loop("an ended loop")
+    loop.start()
+    loop.close()
+    loop.close()
+    ran: list[int] = []
+    loop.post(lambda: ran.append(1))
+    loop.after(0, lambda: ran.append(2))
+    assert not ran

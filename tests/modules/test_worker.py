@@ -1,0 +1,171 @@
+"""The worker that hosts modules: start, live reload, failure, counters, YARP ports, one module alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.worker import ModulesWorker
+from tests.contract.hubside import HubSide
+from tests.support.ports import free_port
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader, Writer
+
+STRING = "std_msgs/String"
+ECHO = "tests.modules.echo:Echo"
+
+
+class Place:
+    """A hub, a worker, and a place for a name server."""
+
+    def __init__(self, folder: Path) -> None:
+        self.hubs = QuickHub()
+        self.folder, self.port = folder, free_port()
+        self.worker = ModulesWorker()
+        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+        self.names = NameClient(Address("127.0.0.1", self.port), namespace="/root")
+
+    def config(self, *own: dict[str, Any], **sections: Any) -> Config:
+        yarp = {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"}
+        return Config.model_validate({
+            "name": "here",
+            "state": self.folder,
+            "hub": {"listen": self.hubs.endpoint},
+            "yarp": yarp,
+            "modules": {"own": list(own)},
+            **sections,
+        })  # fmt: skip
+
+    def status(self, name: str) -> dict[str, Any] | None:
+        answers = self.far.hub.ask("status", {}, worker=name)
+        return next((a.value for a in answers if isinstance(a.value, dict)), None)
+
+    def hears(self, said: str, heard: int, text: str) -> None:
+        """Say something on ``/heard`` until the answer is there."""
+        out = self.far.advertise("/heard", STRING)
+
+        def once() -> bool:
+            self.far.publish(out, {"data": said})
+            return text in {m["data"] for m in self.far.wait(heard, 1, 0.2)}
+
+        until(once, f"{text} is heard", 20)
+
+    def close(self) -> None:
+        self.worker.stop()
+        self.far.hub.close()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    made = Place(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def echo(name: str = "echo", **options: Any) -> dict[str, Any]:
+    return {"name": name, "factory": ECHO, "options": options}
+
+
+def test_a_module_hears_and_says_on_the_hub_and_counts(place: Place) -> None:
+    heard = place.far.subscribe("/said", STRING)
+    place.worker.start(place.config(echo(prefix="again ")))
+    place.hears("hello", heard, "again hello")
+    status = until(lambda: place.status("echo"), "the module tells its status")
+    assert status is not None
+    assert status["state"] == "running"
+    assert status["heard"] >= 1
+    ends = {(end["topic"], end["end"]): end for end in status["topics"]}
+    assert ends["/heard", "subscription"]["messages"] >= 1
+    assert ends["/said", "publisher"]["messages"] >= 1
+    assert {port["port"]: port["state"] for port in status["ports"]} == dict.fromkeys(
+        ("/echo/said:o", "/echo/rpc", "/echo/heard:i"), "waiting"
+    )
+    assert "heard" in place.worker.health().text
+
+
+def test_a_step_that_fails_stops_nothing(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    heard = place.far.subscribe("/said", STRING)
+    place.worker.start(place.config(echo()))
+    place.hears("one", heard, "one")
+    out = place.far.advertise("/heard", STRING)
+    until(lambda: (place.far.publish(out, {"data": "break"}), "one step failed" in caplog.text)[1], "it broke", 20)
+    place.hears("two", heard, "two")
+
+
+def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
+    place.worker.start(place.config(echo()))
+    until(lambda: "waiting" in str(place.status("echo")), "it tells that its ports wait")
+    with NameServer(port=place.port, gc_seconds=0):
+        until(lambda: place.names.query("/echo/said:o"), "the port is registered", 20)
+        until(lambda: "waiting" not in str((place.status("echo") or {}).get("ports")), "all are open", 20)
+        with Client("/echo/rpc", naming=place.names) as client:
+            assert client.ask(["hello", 4], timeout=10) == ["said", "hello", 4]
+        with (
+            Reader("/test/heard:i", naming=place.names, strict=True) as reader,
+            Writer("/test/said:o", naming=place.names) as writer,
+        ):
+            connections.connect(place.names, "/echo/said:o", "/test/heard:i")
+            writer.connect("/echo/heard:i")
+            writer.write(["ahoy"])
+            received = reader.read()
+            assert received is not None
+            assert received.values == ["ahoy"]
+        place.worker.stop()
+        assert place.names.query("/echo/rpc") is None
+
+
+def test_reload_touches_what_changed_alone(place: Place) -> None:
+    heard = place.far.subscribe("/said", STRING)
+    place.worker.start(place.config(echo(), echo("other")))
+    place.hears("a", heard, "a")
+    before = place.status("echo")
+    assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
+    place.hears("b", heard, "new b")
+    after = place.status("echo")
+    assert before is not None
+    assert after is not None
+    assert after["zid"] == before["zid"], "it took up its section while it ran"
+    until(lambda: place.status("third"), "the new one runs")
+    assert place.status("other") is None
+    assert place.worker.reload(place.config(echo(restart=True)))
+    again = until(lambda: place.status("echo"), "it runs again")
+    assert again is not None
+    assert again["zid"] != before["zid"]
+    assert not place.worker.reload(place.config(echo(), name="elsewhere")), "the worker is to be started again"
+
+
+def test_one_that_cannot_start_keeps_no_other_from_it_and_is_tried_again(place: Place) -> None:
+    heard = place.far.subscribe("/said", STRING)
+    bad = [
+        {"name": "nowhere", "factory": "tests.modules.nowhere:Module"},
+        {"name": "nothing", "factory": "tests.modules.echo:NoModule"},
+        echo("refuses", refuse=True),
+    ]
+    place.worker.start(place.config(*bad, echo()))
+    place.hears("a", heard, "a")
+    health = place.worker.health()
+    assert health.state == "running"
+    assert "refuses: waiting it was told to refuse" in health.text
+    assert place.worker.reload(place.config(*bad[:2], echo("refuses"), echo()))
+    until(lambda: "told to refuse" not in place.worker.health().text, "it was started again")
+
+
+def test_one_module_alone(place: Place) -> None:
+    place.worker = ModulesWorker("other")
+    place.worker.start(place.config(echo(), echo("other")))
+    until(lambda: place.status("other"), "the one runs")
+    assert place.status("echo") is None
