@@ -47,6 +47,7 @@ class ServiceConversion:
         side: the service type as the side names it (ROS 1: ``std_srvs/SetBool`` and md5).
         hub: as ROS 2 names it (``std_srvs/srv/SetBool`` and the service's RIHS01). The definition of either is the
             request's full text, a line ``---``, and the response's.
+        left_out: the fields of ROS 1's request and response that get lost, because the hub's have none for them.
     """
 
     side: SideType
@@ -55,3 +56,4 @@ class ServiceConversion:
     request_to_hub: Callable[[bytes], bytes] | None
     response_to_side: Callable[[bytes], bytes] | None
     response_to_hub: Callable[[bytes], bytes] | None
+    left_out: tuple[str, ...] = ()

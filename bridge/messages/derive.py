@@ -15,8 +15,14 @@ Counterpart = Callable[[Schema], Schema]
 _TIMES_BACK = {name: base for base, name in TIME_TYPES.items()}
 
 
-def derive_ros2(ros1: Schema, counterpart: Counterpart) -> Schema:
-    """The ROS 2 type for a type that only ROS 1 has; names are made legal as ROS 2 wants them."""
+def derive_ros2(ros1: Schema, counterpart: Counterpart, name: str = "") -> Schema:
+    """The ROS 2 type for a type that only ROS 1 has; names are made legal as ROS 2 wants them.
+
+    Args:
+        ros1: the type.
+        counterpart: for the types that it nests.
+        name: ROS 2's name, "" for that of a message.
+    """
     names = legal_fields(field.name for field in ros1.root.fields)
     types: dict[str, Definition] = {}
 
@@ -31,18 +37,23 @@ def derive_ros2(ros1: Schema, counterpart: Counterpart) -> Schema:
         Field(names[field.name], FieldType(base(field.type), field.type.shape, field.type.length))
         for field in ros1.root.fields
     )
-    root = Definition(legal_type(ros1.name), World.ROS2, fields, ros2_constants(ros1.root.constants))
+    root = Definition(name or legal_type(ros1.name), World.ROS2, fields, ros2_constants(ros1.root.constants))
     return Schema(root, {**types, root.name: root})
 
 
-def derive_ros1(ros2: Schema, counterpart: Counterpart) -> Schema:
+def derive_ros1(ros2: Schema, counterpart: Counterpart, name: str = "") -> Schema:
     """The ROS 1 type for a type that only ROS 2 has; bounds are dropped, and checked when messages are converted.
+
+    Args:
+        ros2: the type.
+        counterpart: for the types that it nests.
+        name: ROS 1's name, "" for that of a message.
 
     Raises:
         MessageTypeError: ROS 1 cannot say it.
     """
-    package, kind, name = ros2.name.split("/")
-    if kind != "msg":
+    package, kind, short = ros2.name.split("/")
+    if kind != "msg" and not name:
         msg = f"{ros2.name} is part of a service or action, for which ROS 1 has no message"
         raise MessageTypeError(msg)
     types: dict[str, Definition] = {}
@@ -57,7 +68,7 @@ def derive_ros1(ros2: Schema, counterpart: Counterpart) -> Schema:
         length = field.type.length if field.type.shape.value == "array" else 0
         fields.append(Field(field.name, FieldType(base, field.type.shape, length)))
     constants = tuple(_ros1_constant(c) for c in ros2.root.constants if c.base != "wstring")
-    root = Definition(f"{package}/{name}", World.ROS1, tuple(fields), constants)
+    root = Definition(name or f"{package}/{short}", World.ROS1, tuple(fields), constants)
     return Schema(root, {**types, root.name: root})
 
 

@@ -37,21 +37,31 @@ _SHAPE_STEP = {Shape.SINGLE: 0, Shape.ARRAY: 48, Shape.SEQUENCE: 144}
 _BOUNDED_SEQUENCE_STEP = 96
 
 
-def md5_sum(schema: Schema) -> str:
-    """The md5 of a ROS 1 type, in hex."""
+def md5_sum(*schemas: Schema) -> str:
+    """The md5 of a ROS 1 type, in hex; that of a service covers its request and its response, as one text."""
+    return _md5("".join(_md5_text(schema) for schema in schemas))
+
+
+def _md5_text(schema: Schema) -> str:
+    """What the md5 of a ROS 1 type is taken of."""
     sums: dict[str, str] = {}
+
+    def text(name: str) -> str:
+        definition = schema.types[name]
+        lines = [f"{c.base} {c.name}={c.text}" for c in definition.constants]
+        lines += [f"{of(f.type.base)} {f.name}" if f.type.nested else f"{f.type} {f.name}" for f in definition.fields]
+        return "\n".join(lines)
 
     def of(name: str) -> str:
         if name not in sums:
-            definition = schema.types[name]
-            lines = [f"{c.base} {c.name}={c.text}" for c in definition.constants]
-            lines += [
-                f"{of(f.type.base)} {f.name}" if f.type.nested else f"{f.type} {f.name}" for f in definition.fields
-            ]
-            sums[name] = hashlib.md5("\n".join(lines).encode(), usedforsecurity=False).hexdigest()
+            sums[name] = _md5(text(name))
         return sums[name]
 
-    return of(schema.name)
+    return text(schema.name)
+
+
+def _md5(text: str) -> str:
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
 
 
 def rihs01(schema: Schema) -> str:

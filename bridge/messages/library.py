@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from bridge.messages.definition import Definition, Schema, World
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.hashes import md5_sum, rihs01
-from bridge.messages.parser import closure, parse_full
+from bridge.messages.parser import closure
+from bridge.messages.parts import parse_told
 from bridge.messages.sources import Source, find_first
 
 MAX_VARIANTS = 16
@@ -44,7 +45,7 @@ class Library:
         Raises:
             MessageTypeError: it cannot be read, or its fingerprint is not the one that was announced with it.
         """
-        found = parse_full(text, name, self.world)
+        found = parse_told(text, name, self.world)
         if len(found) > MAX_NESTED:
             msg = f"the definition of {name} nests more than {MAX_NESTED} types"
             raise MessageTypeError(msg)
@@ -97,10 +98,11 @@ class Library:
             found.append(own)
         return found
 
-    def names(self, package: str) -> list[str]:
-        """Names of the messages that are known of a package."""
-        known = [name for source in self._sources for name in source.names(package)]
-        known += [name for name in self._learned if name.startswith(f"{package}/")]
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """Names of the messages, services (``srv``) or actions that are known of a package."""
+        known = [name for source in self._sources for name in source.names(package, kind)]
+        start = f"{package}/" if self.world is World.ROS1 and kind == "msg" else f"{package}/{kind}/"
+        known += [name for name in self._learned if name.startswith(start)]
         return list(dict.fromkeys(known))
 
     def variants(self, name: str) -> list[Schema]:

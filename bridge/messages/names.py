@@ -25,24 +25,31 @@ def is_ros1_name(name: str) -> bool:
 
 
 def is_ros2_name(name: str) -> bool:
-    """Whether ``name`` is spelled as ROS 2 spells message types."""
+    """Whether ``name`` is spelled as ROS 2 spells types: messages, services, actions and their parts."""
     return len(name) <= MAX_NAME and _ROS2_NAME.fullmatch(name) is not None
 
 
-def ros2_candidates(ros1_name: str) -> list[str]:
-    """ROS 2 names that may stand for a ROS 1 type, the likeliest first."""
+def split_part(name: str) -> tuple[str, str]:
+    """A name of ROS 2 as that of the service or action and the part: ``pkg/srv/Name``, ``Request``; "" for no part."""
+    package, kind, short = name.split("/")
+    base, _, part = short.partition("_")
+    return f"{package}/{kind}/{base}", part
+
+
+def ros2_candidates(ros1_name: str, kind: str = "msg") -> list[str]:
+    """ROS 2 names that may stand for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
     package, name = ros1_name.split("/")
-    candidates = [f"{package}/msg/{name}"]
+    candidates = [f"{package}/{kind}/{name}"]
     if package.endswith("_msgs"):
-        candidates.append(f"{package.removesuffix('_msgs')}_interfaces/msg/{name}")
-    candidates.append(legal_type(ros1_name))
+        candidates.append(f"{package.removesuffix('_msgs')}_interfaces/{kind}/{name}")
+    candidates.append(legal_type(ros1_name, kind))
     return list(dict.fromkeys(candidates))
 
 
 def ros1_candidates(ros2_name: str) -> list[str]:
-    """ROS 1 names that may stand for a ROS 2 message type, the likeliest first; none for parts of services."""
+    """ROS 1 names that may stand for a ROS 2 message, service or action, the likeliest first; none for their parts."""
     package, kind, name = ros2_name.split("/")
-    if kind != "msg":
+    if kind != "msg" and split_part(ros2_name)[1]:
         return []
     candidates = [f"{package}/{name}"]
     if package.endswith("_interfaces"):
@@ -55,12 +62,12 @@ def legal_package(name: str) -> str:
     return name if _LEGAL_PACKAGE.fullmatch(name) else _snake(name.lower())
 
 
-def legal_type(ros1_name: str) -> str:
+def legal_type(ros1_name: str, kind: str = "msg") -> str:
     """The ROS 2 name of the type derived from a ROS 1 type: ``my_msgs/my_type`` becomes ``my_msgs/msg/MyType``."""
     package, name = ros1_name.split("/")
     if not _LEGAL_MESSAGE.fullmatch(name):
         name = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-    return f"{legal_package(package)}/msg/{name}"
+    return f"{legal_package(package)}/{kind}/{name}"
 
 
 def is_legal_field(name: str) -> bool:

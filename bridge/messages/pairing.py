@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, Definition, FieldType, Schema, Shape
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.names import legal_fields
-from bridge.messages.rules import MessageRule, Rules
+from bridge.messages.rules import FieldRule, Rules
 
 Path = tuple[str, ...]
 
@@ -108,8 +108,7 @@ def field_at(schema: Schema, path: Path) -> FieldType | None:
     return kind
 
 
-def _by_rule(ros1: Schema, ros2: Schema, rule: MessageRule) -> tuple[tuple[Path, Path], ...]:
-    assert rule.fields is not None
+def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> tuple[tuple[Path, Path], ...]:
     pairs = [(tuple(one.split(".")), tuple(two.split("."))) for one, two in rule.fields.items()]
     for one, two in pairs:
         for schema, path in ((ros1, one), (ros2, two)):

@@ -1,56 +1,170 @@
-"""Messages that ROS 2 makes of services and actions: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage`` ...
+"""Messages that are made of services and actions: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage`` ...
 
 The parts are those of ``rosidl_parser.definition`` (jazzy): a service has request, response and event; an action has
-goal, result, feedback, the services send_goal and get_result, and the feedback message.
+goal, result, feedback, the services send_goal and get_result, and the feedback message. A service and an action are
+described as a message that has all of these as fields, which is what their RIHS01 hash covers
+(``rosidl_generator_type_description``).
+
+ROS 1's parts are spelled the same way here, which nothing else in ROS 1 is, except an action's goal, result and
+feedback: these are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.py of actionlib_msgs makes them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from bridge.messages.definition import Definition, World
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.parser import parse_definition, split_parts
+from bridge.messages.names import split_part
+from bridge.messages.parser import parse_definition, parse_full, split_parts
 
+CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+"""What a file of either kind defines, in its order."""
+
+ACTION_SERVICES = ("SendGoal", "GetResult")
+"""An action's services with types of their own."""
+
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"
+"""The third; on ROS 1's edge it is spelled so too."""
+
+_SERVICE = "{base}_Request request_message\n{base}_Response response_message\n{base}_Event event_message\n"
 _EVENT = "service_msgs/ServiceEventInfo info\n{base}_Request[<=1] request\n{base}_Response[<=1] response\n"
-_ACTION_PARTS = {
-    "SendGoal_Request": "unique_identifier_msgs/UUID goal_id\n{base}_Goal goal\n",
+_SENT = {
+    "SendGoal_Request": "unique_identifier_msgs/UUID goal_id\n{content}Goal goal\n",
     "SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
-    "SendGoal_Event": _EVENT.replace("{base}", "{base}_SendGoal"),
     "GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
-    "GetResult_Response": "int8 status\n{base}_Result result\n",
-    "GetResult_Event": _EVENT.replace("{base}", "{base}_GetResult"),
-    "FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{base}_Feedback feedback\n",
+    "GetResult_Response": "int8 status\n{content}Result result\n",
+    "FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{content}Feedback feedback\n",
+}
+_MADE = {
+    "srv": {"": _SERVICE, "Event": _EVENT},
+    "action": {
+        "": "{base}_Goal goal\n{base}_Result result\n{base}_Feedback feedback\n{base}_SendGoal send_goal_service\n"
+        "{base}_GetResult get_result_service\n{base}_FeedbackMessage feedback_message\n",
+        **_SENT,
+        **{service: _SERVICE.replace("{base}", f"{{base}}_{service}") for service in ACTION_SERVICES},
+        **{f"{service}_Event": _EVENT.replace("{base}", f"{{base}}_{service}") for service in ACTION_SERVICES},
+    },
+}
+_ACTIONLIB = {
+    "Action": "{content}ActionGoal action_goal\n{content}ActionResult action_result\n"
+    "{content}ActionFeedback action_feedback\n",
+    "ActionGoal": "Header header\nactionlib_msgs/GoalID goal_id\n{content}Goal goal\n",
+    "ActionResult": "Header header\nactionlib_msgs/GoalStatus status\n{content}Result result\n",
+    "ActionFeedback": "Header header\nactionlib_msgs/GoalStatus status\n{content}Feedback feedback\n",
 }
 
 
-def find_part(folder: Path, name: str, short: str) -> dict[str, Definition] | None:
-    """One message of a service or action whose file is in ``folder``; None where there is none.
+def is_service(name: str) -> bool:
+    """Whether a name of three parts is that of a service, be it one of an action's."""
+    kind, part = name.split("/")[1], split_part(name)[1]
+    return part == "" if kind == "srv" else kind == "action" and part in ACTION_SERVICES
+
+
+def made_parts(base: str, world: World) -> dict[str, Definition]:
+    """All that is made of a service or action besides what its file defines.
+
+    Args:
+        base: ``pkg/srv/Name`` or ``pkg/action/Name``.
+        world: whose definitions are wanted; ROS 1 knows neither events nor descriptions of whole services.
+    """
+    kind = base.split("/")[1]
+    made = _MADE[kind] if world is World.ROS2 else _SENT
+    texts = {f"{base}_{part}" if part else base: text for part, text in made.items()}
+    content = f"{base}_" if world is World.ROS2 else base.replace("/action/", "/", 1)
+    return {
+        name: parse_definition(text.format(base=base, content=content), name, world) for name, text in texts.items()
+    }
+
+
+def actionlib_messages(action: str) -> dict[str, Definition]:
+    """What actionlib wraps a goal, a result and feedback in, for a ROS 1 action (``move_base_msgs/MoveBase``)."""
+    return {
+        f"{action}{part}": parse_definition(text.format(content=action), f"{action}{part}", World.ROS1)
+        for part, text in _ACTIONLIB.items()
+    }
+
+
+def parse_told(text: str, name: str, world: World) -> dict[str, Definition]:
+    """Read a full definition told on the network; that of a service has its request and response around a ``---``.
+
+    Returns:
+        The definitions by name, that of ``name`` among them.
+
+    Raises:
+        MessageTypeError: it cannot be read.
+    """
+    if world is World.ROS1 or not is_service(name):
+        return parse_full(text, name, world)
+    sections = split_parts(text)
+    if len(sections) != 2:
+        msg = f"the definition of the service {name} has {len(sections)} parts separated by '---' instead of 2"
+        raise MessageTypeError(msg)
+    found: dict[str, Definition] = {}
+    for part, section in zip(CONTENTS["srv"], sections, strict=True):
+        found = parse_full(section, f"{name}_{part}", world) | found
+    for made, pattern in {name: _SERVICE, f"{name}_Event": _EVENT}.items():
+        found[made] = parse_definition(pattern.format(base=name), made, world)
+    return found
+
+
+def base_of(name: str, world: World) -> str:
+    """The service or action that a part belongs to: ``pkg/srv/Name`` of ``pkg/srv/Name_Request``."""
+    # Names of ROS 1 may have underscores of their own.
+    return name.rpartition("_")[0] if world is World.ROS1 else split_part(name)[0]
+
+
+def find_part(folder: Path, name: str, world: World = World.ROS2) -> dict[str, Definition] | None:
+    """A message of a service or action whose file is in ``folder``, with the others; None where there is none.
 
     Args:
         folder: the package's ``srv`` or ``action`` folder.
-        name: full name, ``pkg/srv/Name_Request``.
-        short: the last part of the name.
+        name: full name, ``pkg/srv/Name_Request``; ``pkg/srv/Name`` is what describes the whole service.
+        world: for whom the file is written.
     """
-    package, kind, _ = name.split("/")
-    base = short.split("_", 1)[0]
-    part = short.removeprefix(base).removeprefix("_")
-    path = folder / f"{base}.{kind}"
-    if not part or not path.is_file():
+    base = base_of(name, world)
+    kind = name.split("/")[1]
+    path = folder / f"{base.rpartition('/')[2]}.{kind}"
+    if not path.is_file():
         return None
+    sections = zip(CONTENTS[kind], _sections(path, kind), strict=True)
+    found = {f"{base}_{part}": parse_definition(text, f"{base}_{part}", world) for part, text in sections}
+    return with_made(found, name, world)
+
+
+def with_made(found: dict[str, Definition], name: str, world: World) -> dict[str, Definition] | None:
+    """What a service's or action's file defines, and what ROS 2 makes of it; None where ``name`` is not among them."""
+    if world is World.ROS2:
+        found = made_parts(base_of(name, world), world) | found
+    return found if name in found else None
+
+
+def find_actionlib(folder: Path, name: str) -> dict[str, Definition] | None:
+    """A ROS 1 message that comes of an ``.action`` file in ``folder``: ``pkg/NameGoal``, ``pkg/NameActionGoal`` ..."""
+    for part in (*_ACTIONLIB, *CONTENTS["action"]):
+        action = name.removesuffix(part)
+        path = folder / f"{action.rpartition('/')[2]}.action"
+        if action != name and path.is_file():
+            sections = zip(CONTENTS["action"], _sections(path, "action"), strict=True)
+            found = {f"{action}{own}": parse_definition(text, f"{action}{own}", World.ROS1) for own, text in sections}
+            return found | actionlib_messages(action)
+    return None
+
+
+def actionlib_names(stems: Iterable[str]) -> list[str]:
+    """Short names of the ROS 1 messages that come of ``.action`` files of these names."""
+    return [stem + part for stem in stems for part in (*CONTENTS["action"], *_ACTIONLIB)]
+
+
+def _sections(path: Path, kind: str) -> list[str]:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as err:
         msg = f"cannot read {path}: {err}"
         raise MessageTypeError(msg) from None
     sections = split_parts(text)
-    own = ("Request", "Response") if kind == "srv" else ("Goal", "Result", "Feedback")
-    if len(sections) != len(own):
-        msg = f"{path} has {len(sections)} parts separated by '---' instead of {len(own)}"
+    if len(sections) != len(CONTENTS[kind]):
+        msg = f"{path} has {len(sections)} parts separated by '---' instead of {len(CONTENTS[kind])}"
         raise MessageTypeError(msg)
-    if part in own:
-        return {name: parse_definition(sections[own.index(part)], name, World.ROS2)}
-    made = _ACTION_PARTS.get(part) if kind == "action" else _EVENT if part == "Event" else None
-    if made is None:
-        return None
-    return {name: parse_definition(made.format(base=f"{package}/{kind}/{base}"), name, World.ROS2)}
+    return sections

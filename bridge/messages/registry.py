@@ -10,14 +10,18 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.messages.conversion import Conversion, SideType
-from bridge.messages.definition import Schema, World
+from bridge.messages.actions import Actions, ActionTypes
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.definition import Definition, Schema, World
 from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type
 from bridge.messages.pairing import left_out, pair_types, says_the_same
+from bridge.messages.parser import closure
+from bridge.messages.parts import CONTENTS
 from bridge.messages.rules import Rules
+from bridge.messages.services import Service, Services, ros1_service, ros2_service
 from bridge.messages.sources import Tree, ros1_sources, ros2_sources
 from bridge.messages.text import full_text, own_text
 from bridge.messages.transcoder import Convert, cdr_to_ros1, check_cdr, ros1_to_cdr
@@ -51,8 +55,12 @@ class Registry:
         self._lock = threading.RLock()
         self._converters: dict[tuple[str, ...], Conversion] = {}
         self._answers: dict[tuple[str, str, str], Conversion] = {}
+        self._service_answers: dict[tuple[str, str, str], ServiceConversion] = {}
         self._checks: dict[str, Convert] = {}
         self._counterparts: dict[tuple[str, str], Schema] = {}
+        libraries = self._ros1, self._ros2, self._rules
+        self._services = Services(*libraries, self._to_ros1, self._to_ros2, self._conversion)
+        self._actions = Actions(*libraries, self._to_ros1, self._to_ros2)
 
     def ros1(self, name: str) -> SideType:
         """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there.
@@ -109,7 +117,7 @@ class Registry:
         """How a ROS 1 publisher's bytes become the hub's.
 
         Args:
-            name: ROS 1 type.
+            name: ROS 1 type, or an action's ``pkg/action/Name_FeedbackMessage``.
             md5: what the publisher announced; "" or "*" for any.
             definition: full definition from its connection header.
 
@@ -121,8 +129,12 @@ class Registry:
             if key not in self._answers:
                 if definition and md5 not in self._ros1.fingerprints(name):
                     self.learn_ros1(name, definition, md5)
-                source = self._find_ros1(name, md5)
-                self._answers[key] = self._conversion(source, self._to_ros2(source))
+                if _is_feedback(name):
+                    other, one, two = self._actions.of_ros1(name)
+                    self._answers[key] = self._conversion(closure(one[name], one), closure(two[other], two))
+                else:
+                    source = self._find_ros1(name, md5)
+                    self._answers[key] = self._conversion(source, self._to_ros2(source))
             return self._answers[key]
 
     def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
@@ -134,8 +146,12 @@ class Registry:
         key = ("ros2", type_name, type_hash)
         with self._lock:
             if key not in self._answers:
-                source = self._find_ros2(type_name, type_hash)
-                self._answers[key] = self._conversion(source, self._to_ros1(source))
+                if _is_feedback(type_name):
+                    other, one, two = self._actions.of_ros2(type_name, type_hash)
+                    self._answers[key] = self._conversion(closure(two[type_name], two), closure(one[other], one))
+                else:
+                    source = self._find_ros2(type_name, type_hash)
+                    self._answers[key] = self._conversion(source, self._to_ros1(source))
             return self._answers[key]
 
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
@@ -145,11 +161,93 @@ class Registry:
         for what is no such message.
         """
         with self._lock:
-            schema = self._find_ros2(type_name, type_hash)
-            key = self._ros2.fingerprint(schema)
-            if key not in self._checks:
-                self._checks[key] = check_cdr(schema)
-            return self._checks[key]
+            return self._check(self._find_ros2(type_name, type_hash))
+
+    def service_ros1_to_hub(self, name: str, md5: str = "") -> ServiceConversion:
+        """How calls get between a ROS 1 service and the hub's.
+
+        Args:
+            name: ROS 1 type (``std_srvs/SetBool``), or an action's service: ``pkg/action/Name_SendGoal``,
+                ``pkg/action/Name_GetResult``, ``action_msgs/srv/CancelGoal``.
+            md5: what the server announced; "" or "*" for any.
+
+        Raises:
+            MessageTypeError: the type is unknown, has another md5 here, or has no counterpart.
+        """
+        wanted = "" if md5 in ANY_MD5 else md5
+        key = ("ros1", name, wanted)
+        with self._lock:
+            if key not in self._service_answers:
+                if _is_action(name):
+                    other, one, two = self._actions.of_ros1(name)
+                    pair = _ros1_part(name, one), ros2_service(closure(two[other], two))
+                else:
+                    ros1 = self._services.of_ros1(name, wanted)
+                    pair = ros1, self._services.to_ros2(ros1)
+                self._service_answers[key] = self._services.conversion(*pair)
+            return self._service_answers[key]
+
+    def service_hub_to_ros1(self, type_name: str, type_hash: str = "") -> ServiceConversion:
+        """How calls get between a service of the hub, which may be part of an action, and ROS 1's.
+
+        Raises:
+            MessageTypeError: the type is unknown, has another hash here, or has no counterpart.
+        """
+        key = ("ros2", type_name, type_hash)
+        with self._lock:
+            if key not in self._service_answers:
+                if _is_action(type_name):
+                    other, one, two = self._actions.of_ros2(type_name, type_hash)
+                    pair = _ros1_part(other, one), ros2_service(closure(two[type_name], two))
+                else:
+                    ros2 = self._services.of_ros2(type_name, type_hash)
+                    pair = self._services.to_ros1(ros2), ros2
+                self._service_answers[key] = self._services.conversion(*pair)
+            return self._service_answers[key]
+
+    def service_ros2(self, type_name: str, type_hash: str = "") -> SideType:
+        """The ROS 2 service ``pkg/srv/Name`` or ``pkg/action/Name_SendGoal``.
+
+        Raises:
+            MessageTypeError: nothing is known of it, or it has another hash here.
+        """
+        with self._lock:
+            return self._find_service(type_name, type_hash).side_type
+
+    def service_schemas(self, type_name: str, type_hash: str = "") -> tuple[Schema, Schema]:
+        """Request and response of a ROS 2 service with all that they nest, as the decoders need them."""
+        with self._lock:
+            service = self._find_service(type_name, type_hash)
+            return service.request, service.response
+
+    def hub_service_check(self, type_name: str, type_hash: str = "") -> tuple[Convert, Convert]:
+        """Checks of a service's requests and of its responses, as `hub_check` is one of messages."""
+        with self._lock:
+            service = self._find_service(type_name, type_hash)
+            return self._check(service.request), self._check(service.response)
+
+    def action_of_ros1(self, name: str) -> str:
+        """The ROS 2 action for a ROS 1 action: ``nav2_msgs/action/NavigateToPose`` for ``move_base_msgs/MoveBase``.
+
+        Raises:
+            MessageTypeError: nothing is known of the ROS 1 action.
+        """
+        with self._lock:
+            return self._actions.ros2_name(name)
+
+    def action_to_ros1(self, type_name: str) -> str:
+        """The ROS 1 action for a ROS 2 action."""
+        with self._lock:
+            return self._actions.ros1_name(type_name)
+
+    def ros1_action(self, name: str) -> ActionTypes:
+        """The messages of a ROS 1 action's topics: those of ``move_base_msgs/MoveBase``.
+
+        Raises:
+            MessageTypeError: nothing is known of the action.
+        """
+        with self._lock:
+            return self._actions.topics(name)
 
     def ros2_package_sources(self, package: str) -> dict[str, str]:
         """Every definition known of a ROS 2 package as the files it is built from.
@@ -174,6 +272,7 @@ class Registry:
     def _forget(self) -> None:
         """A new definition may change what stands for what."""
         self._answers.clear()
+        self._service_answers.clear()
         self._counterparts.clear()
 
     def _derivable(self, package: str) -> Iterator[Schema]:
@@ -188,6 +287,17 @@ class Registry:
                 continue
             if ros2.root.package == package:
                 yield ros2
+
+    def _find_service(self, name: str, type_hash: str) -> Service:
+        if _is_action(name):
+            return ros2_service(self._find_ros2(name, type_hash))
+        return self._services.of_ros2(name, type_hash)
+
+    def _check(self, schema: Schema) -> Convert:
+        key = self._ros2.fingerprint(schema)
+        if key not in self._checks:
+            self._checks[key] = check_cdr(schema)
+        return self._checks[key]
 
     def _side(self, schema: Schema) -> SideType:
         library = self._ros1 if schema.world is World.ROS1 else self._ros2
@@ -224,6 +334,11 @@ class Registry:
         if found is not None:
             return found
         if is_ros2_name(name):
+            kind = name.split("/")[1]
+            if kind == "action":
+                return self._actions.schema(name, type_hash)
+            if kind == "srv":
+                return self._services.part(name, type_hash)
             for ros1 in self._ros1_variants(name):
                 ros2 = self._to_ros2(ros1)
                 if ros2.name == name and type_hash in ("", self._ros2.fingerprint(ros2)):
@@ -292,3 +407,17 @@ class Registry:
                 return ros1
             first = first or ros1
         return first or derive_ros1(ros2, self._to_ros1)
+
+
+def _is_action(name: str) -> bool:
+    return "/action/" in name
+
+
+def _is_feedback(name: str) -> bool:
+    """Whether it is the one topic of an action whose type is the action's own."""
+    return _is_action(name) and name.endswith("_FeedbackMessage")
+
+
+def _ros1_part(name: str, types: dict[str, Definition]) -> Service:
+    """A service of an action as ROS 1's edge has it."""
+    return ros1_service(name, *(closure(types[f"{name}_{part}"], types) for part in CONTENTS["srv"]))

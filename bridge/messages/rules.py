@@ -1,81 +1,95 @@
-"""ros1_bridge's mapping rules: which packages, messages and fields of ROS 1 and ROS 2 stand for each other.
+"""ros1_bridge's mapping rules: which packages, messages, services and fields of ROS 1 and ROS 2 stand for each other.
 
 The files are those of ros1_bridge (https://github.com/ros2/ros1_bridge/blob/master/doc/index.rst): a YAML list of
 mappings. A rule with ``fields_1_to_2`` maps these fields alone; a path such as ``header.stamp`` names a nested field.
+Actions, which ros1_bridge has none of, are written the same way: ``ros1_action_name``, ``ros2_action_name``, and
+``goal_fields_1_to_2``, ``result_fields_1_to_2``, ``feedback_fields_1_to_2``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from bridge.messages.errors import MessageTypeError
-from bridge.messages.names import legal_type, ros1_candidates, ros2_candidates
+from bridge.messages.names import legal_type, ros1_candidates, ros2_candidates, split_part
 
+Fields = Mapping[str, str]
+"""ROS 1 path to ROS 2 path."""
+
+_PARTS = {
+    "message": {"": "fields_1_to_2"},
+    "service": {part: f"{part.lower()}_fields_1_to_2" for part in ("Request", "Response")},
+    "action": {part: f"{part.lower()}_fields_1_to_2" for part in ("Goal", "Result", "Feedback")},
+}
+"""What a rule may map the fields of, and the key that does."""
+
+_KINDS = {"message": "msg", "service": "srv", "action": "action"}
 _KEYS = {
     "ros1_package_name",
     "ros2_package_name",
-    "ros1_message_name",
-    "ros2_message_name",
-    "fields_1_to_2",
-    "ros1_service_name",
-    "ros2_service_name",
-    "request_fields_1_to_2",
-    "response_fields_1_to_2",
     "enable_foreign_mappings",
+    *(f"{side}_{word}_name" for side in ("ros1", "ros2") for word in _PARTS),
+    *(key for parts in _PARTS.values() for key in parts.values()),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class MessageRule:
-    """Two packages, or two messages, that stand for each other.
+class Rule:
+    """Two packages, or two messages, services or actions, that stand for each other.
 
     Attributes:
-        ros1_message: with ``ros2_message``, the messages' short names; "" where the rule speaks of whole packages.
-        fields: ROS 1 path to ROS 2 path; None where fields are matched by name.
+        ros1: with ``ros2``, the short names; "" where the rule speaks of whole packages.
+        kind: ``msg``, ``srv`` or ``action`` as in ROS 2's names; "" where the rule speaks of whole packages.
+        fields: by part ("" for a message, ``Request``, ``Goal`` ...), for the parts whose fields are not matched by
+            name.
         origin: file and entry, for error messages.
     """
 
     ros1_package: str
     ros2_package: str
-    ros1_message: str = ""
-    ros2_message: str = ""
-    fields: Mapping[str, str] | None = None
+    ros1: str = ""
+    ros2: str = ""
+    kind: str = ""
+    fields: Mapping[str, Fields] = field(default_factory=dict)
     origin: str = "built in"
 
 
 @dataclass(frozen=True, slots=True)
-class ServiceRule:
-    """Two services that stand for each other."""
+class FieldRule:
+    """The fields of two types that stand for each other; all others have no counterpart."""
 
-    ros1_package: str
-    ros2_package: str
-    ros1_service: str
-    ros2_service: str
-    request_fields: Mapping[str, str] | None
-    response_fields: Mapping[str, str] | None
+    fields: Fields
     origin: str
 
 
-_TIME_FIELDS = {"data.secs": "sec", "data.nsecs": "nanosec"}
+_TIME_FIELDS = {"": {"data.secs": "sec", "data.nsecs": "nanosec"}}
 _LOG_FIELDS = {
-    "header.stamp": "stamp",
-    "level": "level",
-    "name": "name",
-    "msg": "msg",
-    "file": "file",
-    "function": "function",
-    "line": "line",
+    "": {
+        "header.stamp": "stamp",
+        "level": "level",
+        "name": "name",
+        "msg": "msg",
+        "file": "file",
+        "function": "function",
+        "line": "line",
+    }
+}
+_MOVE_BASE_FIELDS = {
+    "Goal": {"target_pose": "pose"},
+    "Result": dict[str, str](),
+    "Feedback": {"base_position": "current_pose"},
 }
 BUILT_IN = (
-    MessageRule("std_msgs", "builtin_interfaces", "Time", "Time", _TIME_FIELDS),
-    MessageRule("std_msgs", "builtin_interfaces", "Duration", "Duration", _TIME_FIELDS),
-    MessageRule("tf", "tf2_msgs", "tfMessage", "TFMessage", {"transforms": "transforms"}),
-    MessageRule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", _LOG_FIELDS),
+    Rule("std_msgs", "builtin_interfaces", "Time", "Time", "msg", _TIME_FIELDS),
+    Rule("std_msgs", "builtin_interfaces", "Duration", "Duration", "msg", _TIME_FIELDS),
+    Rule("tf", "tf2_msgs", "tfMessage", "TFMessage", "msg", {"": {"transforms": "transforms"}}),
+    Rule("rosgraph_msgs", "rcl_interfaces", "Log", "Log", "msg", _LOG_FIELDS),
+    Rule("move_base_msgs", "nav2_msgs", "MoveBase", "NavigateToPose", "action", _MOVE_BASE_FIELDS),
 )
 
 
@@ -84,22 +98,25 @@ class Rules:
 
     def __init__(self, files: Iterable[Path] = ()) -> None:
         loaded = [rule for file in files for rule in load_rules(file)]
-        self.services = tuple(rule for rule in loaded if isinstance(rule, ServiceRule))
         # Rules of messages say more than rules of whole packages.
-        self._given = sorted((r for r in loaded if isinstance(r, MessageRule)), key=lambda rule: not rule.ros1_message)
+        self._given = sorted(loaded, key=lambda rule: not rule.ros1)
+        self._fields: dict[tuple[str, str], FieldRule] = {}
+        for rule in (*self._given, *BUILT_IN):
+            for part, fields in rule.fields.items():
+                self._fields.setdefault(_part_names(rule, part), FieldRule(fields, rule.origin))
 
-    def ros2_names(self, ros1_name: str) -> list[str]:
-        """ROS 2 names that may stand for a ROS 1 type, the likeliest first."""
+    def ros2_names(self, ros1_name: str, kind: str = "msg") -> list[str]:
+        """ROS 2 names that may stand for a ROS 1 message, service (``srv``) or ``action``, the likeliest first."""
         package, name = ros1_name.split("/")
         ruled = [
-            f"{rule.ros2_package}/msg/{rule.ros2_message or name}"
+            f"{rule.ros2_package}/{kind}/{rule.ros2 or name}"
             for rule in (*self._given, *BUILT_IN)
-            if rule.ros1_package == package and rule.ros1_message in ("", name)
+            if rule.ros1_package == package and (rule.kind, rule.ros1) in (("", ""), (kind, name))
         ]
-        return list(dict.fromkeys([*ruled, *ros2_candidates(ros1_name)]))
+        return list(dict.fromkeys([*ruled, *ros2_candidates(ros1_name, kind)]))
 
     def ros1_names(self, ros2_name: str) -> list[str]:
-        """ROS 1 names that may stand for a ROS 2 type, the likeliest first."""
+        """ROS 1 names that may stand for a ROS 2 message, service or action, the likeliest first."""
         return list(
             dict.fromkeys(
                 [*_ruled_ros1(ros2_name, self._given), *ros1_candidates(ros2_name), *_ruled_ros1(ros2_name, BUILT_IN)]
@@ -107,36 +124,47 @@ class Rules:
         )
 
     def stand_for_each_other(self, ros1_name: str, ros2_name: str) -> bool:
-        """Whether the two types are a pair by name or by rule."""
+        """Whether the two messages are a pair by name or by rule; a goal, result or feedback is one as its action is.
+
+        ``move_base_msgs/MoveBaseGoal`` and ``nav2_msgs/action/NavigateToPose_Goal`` are such.
+        """
+        kind = ros2_name.split("/")[1]
+        if kind == "action":
+            ros2_name, part = split_part(ros2_name)
+            if not ros1_name.endswith(part):
+                return False
+            ros1_name = ros1_name.removesuffix(part)
         return (
-            ros2_name in self.ros2_names(ros1_name)
+            ros2_name in self.ros2_names(ros1_name, kind)
             or ros1_name in self.ros1_names(ros2_name)
-            or legal_type(ros1_name) == ros2_name
+            or legal_type(ros1_name, kind) == ros2_name
         )
 
-    def fields(self, ros1_name: str, ros2_name: str) -> MessageRule | None:
+    def fields(self, ros1_name: str, ros2_name: str) -> FieldRule | None:
         """The rule that lists the fields of the pair, None where fields are matched by name."""
-        for rule in (*self._given, *BUILT_IN):
-            if rule.fields is None:
-                continue
-            if (f"{rule.ros1_package}/{rule.ros1_message}", f"{rule.ros2_package}/msg/{rule.ros2_message}") == (
-                ros1_name,
-                ros2_name,
-            ):
-                return rule
-        return None
+        return self._fields.get((ros1_name, ros2_name))
 
 
-def _ruled_ros1(ros2_name: str, rules: Iterable[MessageRule]) -> list[str]:
+def _part_names(rule: Rule, part: str) -> tuple[str, str]:
+    """Names of a part in ROS 1 and in ROS 2: of the messages, of the requests, of the goals ..."""
+    middle = "srv/" if rule.kind == "srv" else ""
+    short1 = f"{rule.ros1}_{part}" if rule.kind == "srv" else f"{rule.ros1}{part}"
+    short2 = f"{rule.ros2}_{part}" if part else rule.ros2
+    return f"{rule.ros1_package}/{middle}{short1}", f"{rule.ros2_package}/{rule.kind}/{short2}"
+
+
+def _ruled_ros1(ros2_name: str, rules: Iterable[Rule]) -> list[str]:
     package, kind, name = ros2_name.split("/")
+    if kind != "msg" and split_part(ros2_name)[1]:
+        return []
     return [
-        f"{rule.ros1_package}/{rule.ros1_message or name}"
+        f"{rule.ros1_package}/{rule.ros1 or name}"
         for rule in rules
-        if kind == "msg" and rule.ros2_package == package and rule.ros2_message in ("", name)
+        if rule.ros2_package == package and (rule.kind, rule.ros2) in (("", ""), (kind, name))
     ]
 
 
-def load_rules(file: Path) -> list[MessageRule | ServiceRule]:
+def load_rules(file: Path) -> list[Rule]:
     """Read one mapping-rule file.
 
     Raises:
@@ -155,7 +183,7 @@ def load_rules(file: Path) -> list[MessageRule | ServiceRule]:
     return [_rule(entry, f"{file}, entry {number}") for number, entry in enumerate(entries, 1)]
 
 
-def _rule(entry: Any, origin: str) -> MessageRule | ServiceRule:
+def _rule(entry: Any, origin: str) -> Rule:
     if not isinstance(entry, dict):
         raise MessageTypeError(f"{origin}: not a mapping of keys to values")
     unknown = sorted(str(key) for key in entry.keys() - _KEYS)
@@ -164,17 +192,22 @@ def _rule(entry: Any, origin: str) -> MessageRule | ServiceRule:
     packages = _text(entry, "ros1_package_name", origin), _text(entry, "ros2_package_name", origin)
     if not all(packages):
         raise MessageTypeError(f"{origin}: needs ros1_package_name and ros2_package_name")
-    services = _both(entry, "ros1_service_name", "ros2_service_name", origin)
-    messages = _both(entry, "ros1_message_name", "ros2_message_name", origin)
-    if any(services):
-        if any(messages):
-            raise MessageTypeError(f"{origin}: speaks of messages and of services; write two entries")
-        request, response = (_fields(entry, f"{part}_fields_1_to_2", origin) for part in ("request", "response"))
-        return ServiceRule(*packages, *services, request, response, origin)
-    fields = _fields(entry, "fields_1_to_2", origin)
-    if fields is not None and not any(messages):
-        raise MessageTypeError(f"{origin}: fields_1_to_2 needs ros1_message_name and ros2_message_name")
-    return MessageRule(*packages, *messages, fields, origin)
+    named = {word: _both(entry, f"ros1_{word}_name", f"ros2_{word}_name", origin) for word in _PARTS}
+    meant = [word for word, names in named.items() if any(names)]
+    if len(meant) > 1:
+        raise MessageTypeError(f"{origin}: speaks of {meant[0]}s and of {meant[1]}s; write two entries")
+    word = meant[0] if meant else ""
+    fields: dict[str, Fields] = {}
+    for other, parts in _PARTS.items():
+        for part, key in parts.items():
+            value = _fields(entry, key, origin)
+            if value is None:
+                continue
+            if other != word:
+                raise MessageTypeError(f"{origin}: {key} needs ros1_{other}_name and ros2_{other}_name")
+            fields[part] = value
+    names = named[word] if word else ("", "")
+    return Rule(*packages, *names, _KINDS.get(word, ""), fields, origin)
 
 
 def _both(entry: Mapping[str, Any], first: str, second: str, origin: str) -> tuple[str, str]:
@@ -191,7 +224,7 @@ def _text(entry: Mapping[str, Any], key: str, origin: str) -> str:
     return value
 
 
-def _fields(entry: Mapping[str, Any], key: str, origin: str) -> Mapping[str, str] | None:
+def _fields(entry: Mapping[str, Any], key: str, origin: str) -> Fields | None:
     value = entry.get(key)
     if value is None:
         return None

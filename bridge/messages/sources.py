@@ -19,7 +19,7 @@ from bridge.messages.definition import Definition, World
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.names import is_legal_message, is_ros1_name, is_ros2_name
 from bridge.messages.parser import MAX_TEXT, parse_definition, parse_full
-from bridge.messages.parts import find_part
+from bridge.messages.parts import CONTENTS, actionlib_names, base_of, find_actionlib, find_part, with_made
 from bridge.messages.stores import find_in_store, parse_idl, store_names
 
 Found = dict[str, Definition]
@@ -33,8 +33,8 @@ class Source(Protocol):
     def find(self, name: str) -> Found | None:
         """The definition of ``name`` first, then what it nests where that is at hand; None where it is not here."""
 
-    def names(self, package: str) -> list[str]:
-        """Names of the package's messages in this place."""
+    def names(self, package: str, kind: str = "msg") -> list[str]:
+        """Names of the package's messages, services (``srv``) or actions in this place; of ROS 1, no actions."""
 
 
 class Tree:
@@ -66,18 +66,33 @@ class Tree:
             return None
         for folder in self.folders(package, kind):
             if kind != "msg":
-                found = find_part(folder, name, short)
+                found = self._part(folder, name)
                 if found is not None:
                     return found
                 continue
             if (path := folder / f"{short}.msg").is_file():
-                definition = parse_definition(read_text(path), name, self.world)
-                native = bool(definition.text or not definition.fields)
-                # What is written for the other world is derived from there.
-                return {name: definition} if native else None
+                return self._native({name: parse_definition(read_text(path), name, self.world)})
             if self.world is World.ROS2 and (path := folder / f"{short}.idl").is_file():
                 return parse_idl(read_text(path), name)
+        if self.world is World.ROS1 and kind == "msg":
+            for folder in self.folders(package, "action"):
+                found = find_actionlib(folder, name)
+                if found is not None:
+                    return self._native(found)
         return None
+
+    def _part(self, folder: Path, name: str) -> Found | None:
+        found = find_part(folder, name, self.world)
+        if found is not None:
+            return self._native(found)
+        path = folder / f"{base_of(name, self.world).rpartition('/')[2]}.idl"
+        if self.world is World.ROS2 and path.is_file():
+            return with_made(parse_idl(read_text(path), _first_part(name)), name, self.world)
+        return None
+
+    def _native(self, found: Found) -> Found | None:
+        """What is found; None where it is written for the other world, as it is derived from there."""
+        return found if all(definition.text or not definition.fields for definition in found.values()) else None
 
     def files(self, package: str) -> dict[str, str]:
         """Text of the package's definition files by their path within it."""
@@ -89,11 +104,17 @@ class Tree:
                         found.setdefault(f"{kind}/{path.name}", read_text(path))
         return found
 
-    def names(self, package: str) -> list[str]:
+    def names(self, package: str, kind: str = "msg") -> list[str]:
         """See `Source.names`."""
-        middle = "msg/" if self.world is World.ROS2 else ""
-        stems = {p.stem for f in self.folders(package, "msg") for p in f.iterdir() if p.suffix in (".msg", ".idl")}
+        middle = "" if self.world is World.ROS1 and kind == "msg" else f"{kind}/"
+        stems = self._stems(package, kind)
+        if self.world is World.ROS1 and kind == "msg":
+            stems |= set(actionlib_names(self._stems(package, "action")))
         return [f"{package}/{middle}{stem}" for stem in sorted(stems)]
+
+    def _stems(self, package: str, kind: str) -> set[str]:
+        suffixes = (f".{kind}", ".idl")
+        return {p.stem for f in self.folders(package, kind) for p in f.iterdir() if p.suffix in suffixes}
 
 
 class Genpy:
@@ -104,19 +125,32 @@ class Genpy:
 
     def find(self, name: str) -> Found | None:
         """See `Source.find`."""
+        if name.count("/") > 1:
+            return self._service(name)
         package, short = name.split("/")
-        path = self.root / package / "msg" / f"_{short}.py"
-        if not path.is_file():
-            return None
-        match = _FULL_TEXT.search(read_text(path))
-        if match is None:
-            return None
-        return parse_full(str(ast.literal_eval(match.group(1))), name, World.ROS1)
+        texts = self._texts(self.root / package / "msg" / f"_{short}.py")
+        return parse_full(texts[0], name, World.ROS1) if texts else None
 
-    def names(self, package: str) -> list[str]:
+    def names(self, package: str, kind: str = "msg") -> list[str]:
         """See `Source.names`."""
-        files = (self.root / package / "msg").glob("_[A-Za-z]*.py")
-        return [f"{package}/{path.stem[1:]}" for path in sorted(files)]
+        middle = "" if kind == "msg" else f"{kind}/"
+        files = (self.root / package / kind).glob("_[A-Za-z]*.py")
+        return [f"{package}/{middle}{path.stem[1:]}" for path in sorted(files)]
+
+    def _service(self, name: str) -> Found | None:
+        """The request or response of a service: their texts are in one file, in this order."""
+        package, kind, short = name.split("/")
+        base, _, part = short.rpartition("_")
+        texts = self._texts(self.root / package / "srv" / f"_{base}.py") if kind == "srv" else []
+        if part not in CONTENTS["srv"] or len(texts) != len(CONTENTS["srv"]):
+            return None
+        return parse_full(texts[CONTENTS["srv"].index(part)], name, World.ROS1)
+
+    def _texts(self, path: Path) -> list[str]:
+        """The full definitions in a generated file."""
+        if not path.is_file():
+            return []
+        return [str(ast.literal_eval(text)) for text in _FULL_TEXT.findall(read_text(path))]
 
 
 class Store:
@@ -130,15 +164,15 @@ class Store:
         definition = find_in_store(name, self.world)
         return None if definition is None else {name: definition}
 
-    def names(self, package: str) -> list[str]:
+    def names(self, package: str, kind: str = "msg") -> list[str]:
         """See `Source.names`."""
-        return store_names(package, self.world)
+        return store_names(package, self.world) if kind == "msg" else []
 
 
 def find_first(sources: Iterable[Source], name: str, world: World) -> Found | None:
     """The first source's answer; None where no source knows ``name`` or it is no legal type name."""
-    legal = is_ros1_name(name) if world is World.ROS1 else is_ros2_name(name)
-    if not legal:
+    # The parts of ROS 1's services have names as ROS 2's.
+    if not is_ros2_name(name) and (world is World.ROS2 or not is_ros1_name(name)):
         return None
     for source in sources:
         found = source.find(name)
@@ -180,6 +214,11 @@ def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Sour
         Tree(own, World.ROS2),
         Store(World.ROS2),
     ]
+
+
+def _first_part(name: str) -> str:
+    """What the file of a service or action defines first."""
+    return f"{base_of(name, World.ROS2)}_{CONTENTS[name.split('/')[1]][0]}"
 
 
 def read_text(path: Path) -> str:

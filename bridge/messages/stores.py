@@ -33,7 +33,7 @@ def store_names(package: str, world: World) -> list[str]:
 
 
 def parse_idl(text: str, name: str) -> dict[str, Definition]:
-    """Read the messages of an ``.idl`` file of ROS 2.
+    """Read the messages of an ``.idl`` file of ROS 2; those of a service's are its request and response.
 
     Raises:
         MessageTypeError: the file cannot be read or does not hold ``name``.

@@ -9,7 +9,7 @@ import pytest
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from bridge.messages.rules import MessageRule, ServiceRule, load_rules
+from bridge.messages.rules import load_rules
 
 SEPARATOR = "=" * 80 + "\n"
 
@@ -67,13 +67,11 @@ def write(tmp_path: Path, text: str) -> Path:
 
 def test_a_file_is_read_as_it_is(tmp_path: Path):
     package, message, service = load_rules(write(tmp_path, FILE))
-    assert isinstance(package, MessageRule)
-    assert package.fields is None
-    assert isinstance(message, MessageRule)
-    assert message.fields is not None
-    assert message.fields["point.y"] == "offset.north"
-    assert isinstance(service, ServiceRule)
-    assert service.request_fields == {"a": "b"}
+    assert (package.kind, package.fields) == ("", {})
+    assert (message.kind, message.ros1, message.ros2) == ("msg", "Pose", "Place")
+    assert message.fields[""]["point.y"] == "offset.north"
+    assert (service.kind, service.ros1, service.ros2) == ("srv", "Ask", "AskAgain")
+    assert service.fields == {"Request": {"a": "b"}}
 
 
 def test_reordered_and_nested_fields_cross(tmp_path: Path, new_msgs: Path):

@@ -109,7 +109,7 @@ def _service_file() -> Subject:
         name = names[data[0] % len(names)] if data else names[0]
         kind = name.split("/")[1]
         (folder / f"A.{kind}").write_bytes(data[1:])
-        assert find_part(folder, name, name.split("/")[2]) is not None
+        assert find_part(folder, name) is not None
 
     seeds = [b"\0int64 a\nint64 b\n---\nint64 sum\n", b"\3int32 order\n---\nint32[] sequence\n---\nint32[] partial\n"]
     return Subject(parse, seeds, (MessageTypeError,), [*_WORDS, b"---\n", b"\n---\n"], largest=2048)

@@ -1,0 +1,239 @@
+"""Actions of ROS 1 and ROS 2: which stand for each other, and the services and messages that they are made of.
+
+What crosses is ROS 2's: the services SendGoal and GetResult, and FeedbackMessage. ROS 1's edge has the same parts in
+ROS 1's serialisation, under the same names: ``move_base_msgs/action/MoveBase_SendGoal`` stands for
+``nav2_msgs/action/NavigateToPose_SendGoal``. What is in them, a ROS 1 action's goal, result and feedback, are messages
+that actionlib sends (``move_base_msgs/MoveBaseGoal``), so they may also be known from connection headers alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from bridge.messages.conversion import SideType
+from bridge.messages.definition import Definition, Schema, World
+from bridge.messages.derive import derive_ros1, derive_ros2
+from bridge.messages.hashes import md5_sum, rihs01
+from bridge.messages.library import Library
+from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
+from bridge.messages.pairing import says_the_same
+from bridge.messages.parser import closure
+from bridge.messages.parts import CONTENTS, actionlib_messages, made_parts
+from bridge.messages.rules import Rules
+from bridge.messages.services import Counterpart, unknown_type
+from bridge.messages.text import full_text
+
+_UUID = "unique_identifier_msgs/msg/UUID"
+_NEEDED = ("service_msgs/msg/ServiceEventInfo", _UUID)
+_CONTENT_OF = {"SendGoal": "Goal", "GetResult": "Result", "FeedbackMessage": "Feedback"}
+
+Types = dict[str, Definition]
+
+
+@dataclass(frozen=True, slots=True)
+class ActionTypes:
+    """The message types of a ROS 1 action's topics: ``pkg/NameActionGoal`` and so on."""
+
+    goal: SideType
+    result: SideType
+    feedback: SideType
+
+
+class Actions:
+    """The registry's actions; the registry locks.
+
+    Args:
+        ros1: ROS 1's definitions.
+        ros2: ROS 2's definitions.
+        rules: mapping rules.
+        to_ros1: ROS 1's message for one of ROS 2.
+        to_ros2: ROS 2's message for one of ROS 1.
+    """
+
+    def __init__(self, ros1: Library, ros2: Library, rules: Rules, to_ros1: Counterpart, to_ros2: Counterpart) -> None:
+        self._ros1, self._ros2, self._rules = ros1, ros2, rules
+        self._to_ros1, self._to_ros2 = to_ros1, to_ros2
+
+    def ros2_name(self, action: str) -> str:
+        """The ROS 2 action for a ROS 1 action (``move_base_msgs/MoveBase``), ``pkg/action/Name``.
+
+        It is one that is installed; else one that others use on the hub and whose goal says the same; else it is
+        derived.
+
+        Raises:
+            MessageTypeError: nothing is known of the ROS 1 action.
+        """
+        names = self._rules.ros2_names(action, "action")
+        for name in names:
+            if self._ros2.installed(f"{name}_Goal") is not None:
+                return name
+        goal = self._ros1_content(action, "Goal")
+        for name in names:
+            if any(says_the_same(goal, told, self._rules) for told in self._told(name, "SendGoal")):
+                return name
+        return legal_type(action, "action")
+
+    def ros1_name(self, action: str) -> str:
+        """The ROS 1 action for a ROS 2 action (``nav2_msgs/action/NavigateToPose``): a known one, else derived."""
+        return next(self._known_ros1(action), action.replace("/action/", "/", 1))
+
+    def topics(self, action: str) -> ActionTypes:
+        """What a ROS 1 action's topics carry.
+
+        Raises:
+            MessageTypeError: nothing is known of the action.
+        """
+        found = [self._wrapper(action, content) for content in CONTENTS["action"]]
+        return ActionTypes(*(SideType(one.name, md5_sum(one), full_text(one)) for one in found))
+
+    def of_ros1(self, name: str) -> tuple[str, Types, Types]:
+        """A part of a ROS 1 action (``move_base_msgs/action/MoveBase_SendGoal``), and ROS 2's for it.
+
+        Returns:
+            ROS 2's name of the part, and the definitions in ROS 1 and in ROS 2.
+
+        Raises:
+            MessageTypeError: nothing is known of the action.
+        """
+        base, part = _split(name, World.ROS1)
+        action, content = base.replace("/action/", "/", 1), _CONTENT_OF[part]
+        ros2_action = self.ros2_name(action)
+        one = self._ros1_content(action, content)
+        two = self._ros2_content(ros2_action, part, one)
+        return f"{ros2_action}_{part}", self._ros1_types(base, one), self._ros2_types(ros2_action, two)
+
+    def of_ros2(self, name: str, type_hash: str = "") -> tuple[str, Types, Types]:
+        """A part of a ROS 2 action, and ROS 1's for it; see `of_ros1`.
+
+        Returns:
+            ROS 1's name of the part, and the definitions in ROS 1 and in ROS 2.
+        """
+        action, part = _split(name, World.ROS2)
+        content = _CONTENT_OF[part]
+        root = self._ros2.find(name, type_hash)
+        if root is None:
+            return self._derived(name, type_hash)
+        ros1_action = self.ros1_name(action)
+        two = root.sub(f"{action}_{content}")
+        one = self._ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
+            two, self._to_ros1, f"{ros1_action}{content}"
+        )
+        base = ros1_action.replace("/", "/action/", 1)
+        return f"{base}_{part}", self._ros1_types(base, one), dict(root.types)
+
+    def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
+        """The part of a ROS 2 action that ROS 1 alone has."""
+        action, part = _split(name, World.ROS2)
+        known = " or ".join(self._ros2.fingerprints(name))
+        for ros1_action in self._known_ros1(action):
+            if self.ros2_name(ros1_action) != action:
+                continue
+            base = ros1_action.replace("/", "/action/", 1)
+            _, one, two = self.of_ros1(f"{base}_{part}")
+            found = rihs01(closure(two[name], two))
+            if type_hash in ("", found):
+                return f"{base}_{part}", one, two
+            known = known or found
+        raise unknown_type(name, World.ROS2, type_hash, known)
+
+    def schema(self, name: str, type_hash: str = "") -> Schema:
+        """A message of a ROS 2 action that ROS 1 alone has; with a hash, the one that has it.
+
+        Raises:
+            MessageTypeError: nothing is known of it.
+        """
+        action, known = split_part(name)[0], ""
+        for ros1_action in self._known_ros1(action):
+            if self.ros2_name(ros1_action) == action:
+                types = self.derived(ros1_action)
+                if name in types:
+                    schema = closure(types[name], types)
+                    known = rihs01(schema)
+                    if type_hash in ("", known):
+                        return schema
+        raise unknown_type(name, World.ROS2, type_hash, known)
+
+    def derived(self, action: str) -> Types:
+        """All definitions of the ROS 2 action for a ROS 1 action; without those of parts that are not known."""
+        ros2_action = self.ros2_name(action)
+        types: Types = {}
+        for part, content in _CONTENT_OF.items():
+            one = self._find_ros1(action, content)
+            if one is not None:
+                types |= self._ros2_types(ros2_action, self._ros2_content(ros2_action, part, one))
+        return types
+
+    def _ros2_content(self, action: str, part: str, ros1: Schema) -> Schema:
+        """A ROS 2 action's goal, result or feedback."""
+        name = f"{action}_{_CONTENT_OF[part]}"
+        installed = self._ros2.installed(name)
+        if installed is not None:
+            return installed
+        for told in self._told(action, part):
+            if says_the_same(ros1, told, self._rules):
+                return told
+        return derive_ros2(ros1, self._to_ros2, name)
+
+    def _told(self, action: str, part: str) -> list[Schema]:
+        """The goals, results or feedbacks that the definitions told on the hub have."""
+        content = f"{action}_{_CONTENT_OF[part]}"
+        return [root.sub(content) for root in self._ros2.variants(f"{action}_{part}") if content in root.types]
+
+    def _ros1_content(self, action: str, content: str) -> Schema:
+        """A ROS 1 action's goal, result or feedback."""
+        found = self._find_ros1(action, content)
+        if found is not None:
+            return found
+        if is_ros1_name(action):
+            for name in self._rules.ros2_names(action, "action"):
+                ros2 = self._ros2.find(f"{name}_{content}")
+                if ros2 is not None and self.ros1_name(name) == action:
+                    return derive_ros1(ros2, self._to_ros1, f"{action}{content}")
+        raise unknown_type(action.replace("/", "/action/", 1), World.ROS1)
+
+    def _find_ros1(self, action: str, content: str) -> Schema | None:
+        return self._ros1.find(f"{action}{content}", newest=True)
+
+    def _known_ros1(self, action: str) -> Iterator[str]:
+        """The ROS 1 actions that may stand for a ROS 2 action, the likeliest first."""
+        package = action.split("/", 1)[0]
+        names = self._rules.ros1_names(action)
+        goals = [name.removesuffix("Goal") for name in self._ros1.names(package) if name.endswith("Goal")]
+        names += [name for name in goals if name not in names and legal_type(name, "action") == action]
+        for name in names:
+            if self._find_ros1(name, "Goal") is not None:
+                yield name
+
+    def _ros1_types(self, base: str, content: Schema) -> Types:
+        uuid = self._ros2.installed(_UUID)
+        assert uuid is not None  # rosbags' store has it
+        return {**made_parts(base, World.ROS1), **self._to_ros1(uuid).types, **content.types}
+
+    def _ros2_types(self, action: str, content: Schema) -> Types:
+        types = made_parts(action, World.ROS2)
+        for needed in _NEEDED:
+            found = self._ros2.installed(needed)
+            assert found is not None  # rosbags' store has it
+            types.update(found.types)
+        return {**types, **content.types}
+
+    def _wrapper(self, action: str, content: str) -> Schema:
+        """The message in which actionlib sends a goal, a result or feedback."""
+        name = f"{action}Action{content}"
+        found = self._ros1.find(name, newest=True)
+        if found is not None:
+            return found
+        types = {**actionlib_messages(action), **self._ros1_content(action, content).types}
+        for needed in types[name].nested_names():
+            known = self._ros1.installed(needed) if needed not in types else None
+            types.update({} if known is None else known.types)
+        return closure(types[name], types)
+
+
+def _split(name: str, world: World) -> tuple[str, str]:
+    """The action, ``pkg/action/Name``, and the part."""
+    base, _, part = name.rpartition("_")
+    if not is_ros2_name(name) or part not in _CONTENT_OF:
+        raise unknown_type(name, world)
+    return base, part

@@ -1,0 +1,247 @@
+"""Services of ROS 1 and ROS 2: their definitions, which stand for each other, and how their bytes get across."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.definition import Schema, World
+from bridge.messages.derive import derive_ros1, derive_ros2
+from bridge.messages.errors import MessageTypeError
+from bridge.messages.hashes import md5_sum, rihs01
+from bridge.messages.library import Library
+from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
+from bridge.messages.pairing import says_the_same
+from bridge.messages.parser import closure
+from bridge.messages.parts import CANCEL_GOAL, CONTENTS, is_service, made_parts
+from bridge.messages.rules import Rules
+from bridge.messages.text import full_text
+
+Counterpart = Callable[[Schema], Schema]
+"""The other world's message for one."""
+
+Convert = Callable[[Schema, Schema], Conversion]
+"""How messages of one type become messages of its counterpart."""
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service of one world.
+
+    Attributes:
+        name: as the side spells it.
+        type_id: md5 or RIHS01.
+        request: the request's message, named ``pkg/srv/Name_Request`` in both worlds.
+        response: the response's.
+    """
+
+    name: str
+    type_id: str
+    request: Schema
+    response: Schema
+
+    @property
+    def side_type(self) -> SideType:
+        """What edges and the hub are told of it."""
+        text = f"{full_text(self.request)}---\n{full_text(self.response)}"
+        return SideType(self.name, self.type_id, text)
+
+
+def ros1_service(name: str, request: Schema, response: Schema) -> Service:
+    """A service of ROS 1."""
+    return Service(name, md5_sum(request, response), request, response)
+
+
+def ros2_service(root: Schema) -> Service:
+    """The service of ROS 2 that a schema describes."""
+    request, response = (root.sub(f"{root.name}_{part}") for part in CONTENTS["srv"])
+    return Service(root.name, rihs01(root), request, response)
+
+
+def unknown_type(name: str, world: World, wanted: str = "", known: str = "") -> MessageTypeError:
+    """What to say of a service or action that cannot be used, and the cure."""
+    package, kind = name.split("/")[0], "action" if "/action/" in name else "srv"
+    if wanted and known:
+        word = "md5" if world is World.ROS1 else "hash"
+        return MessageTypeError(
+            f"{name} has the {word} {wanted} there but {known} here: the definitions differ",
+            f"use the same version of {package} on both sides",
+        )
+    what = "action" if kind == "action" else "service"
+    return MessageTypeError(
+        f"no definition of the {world.value} {what} {name} is known, and no connection tells one",
+        f"install {package}, or put its .{kind} files into a folder that types.folders names",
+    )
+
+
+class Services:
+    """The registry's services; the registry locks.
+
+    Args:
+        ros1: ROS 1's definitions.
+        ros2: ROS 2's definitions.
+        rules: mapping rules.
+        to_ros1: ROS 1's message for one of ROS 2.
+        to_ros2: ROS 2's message for one of ROS 1.
+        convert: makes the conversion of a pair of messages.
+    """
+
+    def __init__(
+        self,
+        ros1: Library,
+        ros2: Library,
+        rules: Rules,
+        to_ros1: Counterpart,
+        to_ros2: Counterpart,
+        convert: Convert,
+    ) -> None:
+        self._ros1, self._ros2, self._rules = ros1, ros2, rules
+        self._to_ros1, self._to_ros2, self._convert = to_ros1, to_ros2, convert
+
+    def of_ros1(self, name: str, md5: str = "") -> Service:
+        """The ROS 1 service ``pkg/Name``; where ROS 2 alone has it, the one derived from there.
+
+        Raises:
+            MessageTypeError: nothing is known of it, or it has another md5 here.
+        """
+        if name == CANCEL_GOAL:
+            return self._derive_ros1(self.of_ros2(name))
+        if not is_ros1_name(name):
+            raise unknown_type(name, World.ROS1)
+        found = self._find_ros1(name)
+        if found is None:
+            for candidate in self._rules.ros2_names(name, "srv"):
+                ros2 = self._find_ros2(candidate)
+                derived = None if ros2 is None else self.to_ros1(ros2)
+                if derived is not None and derived.name == name:
+                    found = derived
+                    break
+        if found is None or md5 not in ("", found.type_id):
+            raise unknown_type(name, World.ROS1, md5, "" if found is None else found.type_id)
+        return found
+
+    def of_ros2(self, name: str, type_hash: str = "") -> Service:
+        """The ROS 2 service ``pkg/srv/Name``; where ROS 1 alone has it, the one derived from there.
+
+        Raises:
+            MessageTypeError: nothing is known of it, or it has another hash here.
+        """
+        if not is_ros2_name(name) or not is_service(name):
+            raise unknown_type(name, World.ROS2)
+        found = self._find_ros2(name, type_hash)
+        if found is not None:
+            return found
+        known = " or ".join(self._ros2.fingerprints(name))
+        for ros1 in self._ros1_candidates(name):
+            ros2 = self.to_ros2(ros1)
+            if ros2.name == name:
+                if type_hash in ("", ros2.type_id):
+                    return ros2
+                known = known or ros2.type_id
+        raise unknown_type(name, World.ROS2, type_hash, known)
+
+    def part(self, name: str, type_hash: str = "") -> Schema:
+        """The request or response of a ROS 2 service that ROS 1 alone has.
+
+        Raises:
+            MessageTypeError: nothing is known of it.
+        """
+        base, part = split_part(name)
+        service = self.of_ros2(base) if part in CONTENTS["srv"] else None
+        found = None if service is None else service.request if part == "Request" else service.response
+        if found is None or type_hash not in ("", rihs01(found)):
+            raise unknown_type(name, World.ROS2, type_hash, "" if found is None else rihs01(found))
+        return found
+
+    def to_ros2(self, ros1: Service) -> Service:
+        """The ROS 2 service for one of ROS 1: installed, told on the hub and saying the same, else derived."""
+        names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._rules.ros2_names(ros1.name, "srv")
+        for name in names:
+            root = self._ros2.installed(name)
+            if root is not None:
+                return ros2_service(root)
+        for name in names:
+            for root in self._ros2.variants(name):
+                told = ros2_service(root)
+                if says_the_same(ros1.request, told.request, self._rules) and says_the_same(
+                    ros1.response, told.response, self._rules
+                ):
+                    return told
+        return self._derive_ros2(ros1)
+
+    def to_ros1(self, ros2: Service) -> Service:
+        """The ROS 1 service for one of ROS 2: installed, else derived."""
+        first: Service | None = None
+        for ros1 in self._ros1_candidates(ros2.name):
+            back = self.to_ros2(ros1)
+            if (back.name, back.type_id) == (ros2.name, ros2.type_id):
+                return ros1
+            first = first or ros1
+        return first or self._derive_ros1(ros2)
+
+    def conversion(self, ros1: Service, ros2: Service) -> ServiceConversion:
+        """How calls get from either to the other.
+
+        Raises:
+            MessageTypeError: they are no pair.
+        """
+        request = self._convert(ros1.request, ros2.request)
+        response = self._convert(ros1.response, ros2.response)
+        return ServiceConversion(
+            side=ros1.side_type,
+            hub=ros2.side_type,
+            request_to_side=self._convert(ros2.request, ros1.request).convert,
+            request_to_hub=request.convert,
+            response_to_side=self._convert(ros2.response, ros1.response).convert,
+            response_to_hub=response.convert,
+            left_out=(*request.left_out, *response.left_out),
+        )
+
+    def derivable(self, package: str) -> Iterator[Service]:
+        """ROS 2 services of a package that are made from ROS 1 services."""
+        for name in self._ros1.names(package, "srv"):
+            ros1 = self._find_ros1(name.replace("/srv/", "/", 1))
+            if ros1 is None:
+                continue
+            try:
+                ros2 = self.to_ros2(ros1)
+            except MessageTypeError:
+                continue
+            if ros2.request.root.package == package:
+                yield ros2
+
+    def _find_ros1(self, name: str) -> Service | None:
+        base = name.replace("/", "/srv/", 1)
+        request, response = (self._ros1.installed(f"{base}_{part}") for part in CONTENTS["srv"])
+        return ros1_service(name, request, response) if request is not None and response is not None else None
+
+    def _find_ros2(self, name: str, type_hash: str = "") -> Service | None:
+        root = self._ros2.find(name, type_hash)
+        return None if root is None else ros2_service(root)
+
+    def _ros1_candidates(self, ros2_name: str) -> Iterator[Service]:
+        """All ROS 1 services that may stand for a ROS 2 name, the likeliest first."""
+        package = ros2_name.split("/", 1)[0]
+        names = self._rules.ros1_names(ros2_name)
+        others = [name.replace("/srv/", "/", 1) for name in self._ros1.names(package, "srv")]
+        names += [name for name in others if name not in names and legal_type(name, "srv") == ros2_name]
+        for name in names:
+            found = self._find_ros1(name)
+            if found is not None:
+                yield found
+
+    def _derive_ros2(self, ros1: Service) -> Service:
+        base = legal_type(ros1.name, "srv")
+        info = self._ros2.installed("service_msgs/msg/ServiceEventInfo")
+        assert info is not None  # rosbags' store has it
+        types = {**made_parts(base, World.ROS2), **info.types}
+        for ros1_part in (ros1.request, ros1.response):
+            types |= derive_ros2(ros1_part, self._to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
+        return ros2_service(closure(types[base], types))
+
+    def _derive_ros1(self, ros2: Service) -> Service:
+        request = derive_ros1(ros2.request, self._to_ros1, ros2.request.name)
+        response = derive_ros1(ros2.response, self._to_ros1, ros2.response.name)
+        name = ros2.name if ros2.name == CANCEL_GOAL else ros2.name.replace("/srv/", "/", 1)
+        return ros1_service(name, request, response)
