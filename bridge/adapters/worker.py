@@ -102,6 +102,8 @@ class BridgeWorker(Worker):
 
 def _with_memory(config: Config) -> Config:
     """The configuration, without the hub's shared memory where dead sessions' still fills the machine's."""
+    if sys.platform != "linux":  # elsewhere shared memory is no files that are seen
+        return config
     removed = pools.clean()
     if removed:
         _log.info("removed %d shared-memory files of dead zenoh sessions", removed)

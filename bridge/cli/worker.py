@@ -6,10 +6,11 @@ import argparse
 import logging
 import os
 import signal
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from bridge.daemon.workers import WORKERS, child_command, worker_kinds
 
@@ -66,7 +67,7 @@ def run_alone(kind: WorkerKind, config: Config, load: Callable[[], Config], *, c
     code = Process(kind, control=control).run_alone(config, load)
     if code is None:
         logging.getLogger("midspan").info("starting again")
-        os.execv(sys.executable, sys.orig_argv)  # noqa: S606  this very command
+        _go_on_as([sys.executable, *sys.orig_argv[1:]], os.environ)
     return code
 
 
@@ -85,4 +86,11 @@ def _enter_environment(kind: WorkerKind, config: Config, args: argparse.Namespac
     if args.config is not None:
         options += ["--config", str(args.config)]
     command = child_command(kind.name, *options)
-    os.execve(command[0], command, env)  # noqa: S606  our own interpreter and module
+    _go_on_as(command, env)
+
+
+def _go_on_as(command: list[str], env: Mapping[str, str]) -> NoReturn:
+    """Let a command of our own take this process's place."""
+    if sys.platform == "win32":  # exec leaves whoever waits for this process with nobody there
+        sys.exit(subprocess.call(command, env=dict(env)))
+    os.execve(command[0], command, dict(env))  # noqa: S606  our own interpreter and module

@@ -24,7 +24,8 @@ def with_state(config: Config, environ: Mapping[str, str] = os.environ) -> Confi
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(13, "not writable for this user")
-        if folder.stat().st_uid == os.geteuid():
+        # without users' numbers, as on Windows, the folder has the rights of the one that it lies in
+        if hasattr(os, "geteuid") and folder.stat().st_uid == os.geteuid():
             folder.chmod(0o700)
     except OSError as err:
         msg = f"state folder {folder}: {err.strerror}; set 'state' in the configuration to a folder that can be used"

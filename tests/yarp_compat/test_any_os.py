@@ -6,48 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.support.hidden import HIDE
 from tests.support.ports import free_port
 
 ROOT = Path(__file__).parents[2]
-
-HIDE = """
-import asyncio, concurrent.futures, http.client, logging.handlers, multiprocessing, numpy, os, select, selectors
-import shutil, signal, socket, subprocess, sys, tempfile, time, urllib.request, uuid  # Windows has its own of these
-
-for name in ("fcntl", "pwd", "grp", "resource", "termios", "tty", "pty", "syslog", "posix", "_posixsubprocess"):
-    sys.modules[name] = None
-for module, names in (
-    (os, "fork forkpty getuid geteuid getgid getpgid killpg setsid mkfifo uname register_at_fork wait nice pipe2 "
-         "fchmod sched_getaffinity getloadavg statvfs sysconf pread pwrite writev sendfile O_NONBLOCK O_CLOEXEC"),
-    (signal, "SIGHUP SIGKILL SIGUSR1 SIGUSR2 SIGPIPE SIGCHLD SIGQUIT SIGALRM pthread_sigmask sigwait alarm setitimer"),
-    (socket, "AF_UNIX SO_REUSEPORT MSG_DONTWAIT MSG_NOSIGNAL CMSG_LEN send_fds recv_fds TCP_QUICKACK"),
-    (select, "poll epoll"),
-    (time, "clock_gettime clock_settime"),
-):
-    for name in names.split():
-        if hasattr(module, name):
-            delattr(module, name)
-
-
-def missing(self):
-    raise AttributeError("Windows' sockets do not have it")
-
-
-class Socket(socket.socket):
-    sendmsg = recvmsg = recvmsg_into = property(missing)
-
-
-def socketpair(*_):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        one = socket.create_connection(server.getsockname())
-        return one, server.accept()[0]
-
-
-socket.socket, socket.socketpair = Socket, socketpair
-selectors.DefaultSelector = selectors.SelectSelector
-"""
-"""Run in a process before anything of ours is imported."""
-
 
 def run(code: str, *arguments: str) -> str:
     done = subprocess.run(

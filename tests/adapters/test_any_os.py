@@ -1,0 +1,107 @@
+"""The zenoh and the YARP worker run on any OS: here whole, with all hidden that Windows does not have."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.contract.hubside import HubSide
+from tests.contract.side import PeerLike
+from tests.support.hidden import HIDE, LIBRARIES, NAME
+from tests.support.process import Process
+from tests.support.quick_hub import QuickHub
+from tests.support.rosbags_messages import Messages
+from tests.support.wait import until
+from tests.support.yarp_programs import Definitions, Names, YarpProgram
+from tests.support.zenoh_programs import Ros2ddsBridge, Router
+
+ROOT = Path(__file__).parents[2]
+STRING = "std_msgs/String"
+WORKER = """
+from bridge.cli.main import main
+sys.exit(main(["worker", sys.argv[1], "--prepared", "--config", sys.argv[2]]))
+"""
+
+
+@pytest.fixture
+def hubs() -> Iterator[QuickHub]:
+    """A hub of the test's own."""
+    made = QuickHub()
+    yield made
+    made.stop_router()
+
+
+@contextmanager
+def worker(side: str, hubs: QuickHub, folder: Path, **sections: Any) -> Iterator[HubSide]:
+    """The worker of a side in a process of its own, which must end well when it is told to; a program on its hub."""
+    file = folder / "midspan.yaml"
+    config = {"name": "here", "state": str(folder), "hub": {"listen": hubs.endpoint, "shared_memory": False}}
+    file.write_text(yaml.safe_dump({**config, **sections}))
+    environ = {**os.environ, "PYTHONPATH": str(ROOT)}
+    far = HubSide(Hub.open(hubs.settings("far")), Registry())
+    with Process([sys.executable, "-c", LIBRARIES + HIDE + NAME + WORKER, side, file], environ) as process:
+        try:
+            until(lambda: process.popen.poll() is not None or runs(far), "it runs", 30)
+            yield far
+            assert process.popen.poll() is None, "it ended by itself"
+            process.signal(signal.SIGINT)  # Ctrl-C, which there is on any OS
+            assert process.popen.wait(20) == 0
+        except BaseException:
+            print(process.output())
+            raise
+        finally:
+            far.hub.close()
+
+
+def runs(far: HubSide) -> bool:
+    return any(isinstance(a.value, dict) and a.value.get("state") == "running" for a in far.hub.ask("status", {}))
+
+
+def cross(far: HubSide, peer: PeerLike) -> None:
+    """Exchange messages between a program on the side and one on the hub."""
+    out, heard = peer.advertise("/from_side", STRING), far.subscribe("/from_side", STRING)
+    far.publish_until(peer, out, {"data": "in"}, lambda: far.wait(heard, 1, 0.2))
+    assert far.wait(heard, 1)[0] == {"data": "in"}
+    back, told = peer.subscribe("/from_hub", STRING), far.advertise("/from_hub", STRING)
+    far.hub_publish_until(told, {"data": "out"}, lambda: peer.wait(back, 1, 0.2))
+    assert peer.wait(back, 1)[0] == {"data": "out"}
+
+
+def test_the_yarp_worker(hubs: QuickHub, tmp_path: Path) -> None:
+    names = Names()
+    program = YarpProgram(names, "/program", Definitions(()))
+    try:
+        yarp = {"nameserver": "site", "address": names.endpoint, "poll": 0.1}
+        with worker("yarp", hubs, tmp_path, yarp=yarp) as far:
+            cross(far, program)
+            assert "/midspan/from_side:i" in registered(names)
+        until(lambda: not any(name.startswith("/midspan/") for name in registered(names)), "its ports are given back")
+    finally:
+        program.stop()
+        names.stop()
+
+
+def registered(names: Names) -> list[str]:
+    return [contact.name for contact in names.client.list()]
+
+
+def test_the_zenoh_worker(hubs: QuickHub, tmp_path: Path) -> None:
+    router = Router()
+    bridge = Ros2ddsBridge(router.endpoint, Messages(ros1=False))
+    try:
+        zenoh = {"router": router.endpoint, "dialects": [{"dialect": "ros2dds"}]}
+        with worker("zenoh", hubs, tmp_path, zenoh=zenoh) as far:
+            cross(far, bridge)
+    finally:
+        bridge.stop()
+        router.stop()
