@@ -11,6 +11,7 @@ from tests.support.ports import free_port
 
 ROOT = Path(__file__).parents[2]
 
+
 def run(code: str, *arguments: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", HIDE + code, *arguments],
