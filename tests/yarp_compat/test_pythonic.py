@@ -59,6 +59,7 @@ def test_answers_are_in_the_askers_dialect(naming: LocalNaming) -> None:
     with Server("/s", lambda values: [values[0] / 2], naming=naming):
         for profile in Profile:
             with Client("/s", naming=naming, profile=profile) as client:
+                client.core.connections.outputs[0].profile = profile
                 answer = client.core.request(binary.encode([3.0], profile))
                 assert binary.decode(answer, profile) == [1.5]
                 assert recognise(answer) is profile

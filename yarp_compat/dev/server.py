@@ -99,7 +99,7 @@ class Server:
             self._log("a request of %s is refused: %s", peer or "?", error)
             return _fail()
         if call is None:
-            return self._special(words, arguments, peer, text=text)
+            return self._special(words, arguments, peer, profile, text=text)
         if not text and found is not generation.profile:
             self.generations.recognised(peer, found)
             generation = self.generations.of(peer).generation
@@ -144,12 +144,12 @@ class Server:
                 raise WireError(f"there is no method {name!r}")
             name += "_" + source.word()
 
-    def _special(self, name: str, arguments: list[Any], peer: str, *, text: bool) -> bytes:
+    def _special(self, name: str, arguments: list[Any], peer: str, profile: Profile | None, *, text: bool) -> bytes:
         if name == INTRODUCTION and text:
             return encode([self._service.PROTOCOL, 4, 0, 0], Profile.YARP3)
         if name == INTRODUCTION:
-            self.generations.introduced(peer)
-            return write_version(self._service.PROTOCOL)
+            self.generations.introduced(peer, profile)
+            return write_version(self._service.PROTOCOL, self.generations.of(peer).generation)
         return self._help(arguments[0] if arguments else "--all")
 
     def _help(self, name: str) -> bytes:

@@ -25,7 +25,7 @@ from yarp_compat.wire.tags import LIST, VOCAB32
 from yarp_compat.wire.writer import Writer
 
 INTRODUCTION = "getRemoteProtocolVersion"
-"""The method that clients of YARP 4 call before any other."""
+"""The method that clients of YARP 4 call before any other; 3.12 has it too, and its stock clients do not call it."""
 VERSION = struct.Struct("<iihhhh")
 """Its reply, which is no Bottle: a list of 1, then the service's protocol, YARP's major, minor and patch number."""
 
@@ -113,9 +113,10 @@ def rpc(method: _Method) -> _Method:
     return remote  # type: ignore[return-value] # it is called as the method is
 
 
-def write_version(protocol: int, major: int = 4, minor: int = 0, patch: int = 0) -> bytes:
-    """The answer to a client's introduction."""
-    return VERSION.pack(LIST, 1, protocol, major, minor, patch)
+def write_version(protocol: int, generation: Generation = Generation.YARP_4) -> bytes:
+    """The answer to a client's introduction, by a server of the client's own generation."""
+    major, minor = map(int, generation.value.split("."))
+    return VERSION.pack(LIST, 1, protocol, major, minor, 0)
 
 
 def read_version(reply: Buffer) -> tuple[int, int, int, int] | None:

@@ -11,6 +11,7 @@ from yarp_compat.ports.inputs import BinaryInput, Input
 from yarp_compat.ports.pages import PageInput
 from yarp_compat.ports.textinputs import NameInput, TextInput
 from yarp_compat.wire import carriers, header
+from yarp_compat.wire.contact import is_port_name
 from yarp_compat.wire.header import Opening
 
 if TYPE_CHECKING:
@@ -51,7 +52,10 @@ def answer(port: PortCore, sock: socket.socket, opened: Opening, rest: bytes, ad
                 made = datagram_socket(sock)
                 sock.send(header.answer(opened, made.getsockname()[1]))
             return DatagramInput(port, made, opened, address)
-        if told := header.answer(opened, port.contact.port):
+        told = header.answer(opened, port.contact.port)
+        if port.replies and opened.carrier in (carriers.TCP, carriers.FAST_TCP) and is_port_name(opened.sender):
+            return BinaryInput(port, sock, opened, rest, address, told)
+        if told:
             sock.send(told)
     except OSError as error:
         _log.debug("port %s: a connection from %s:%d failed: %s", port.name, *address, error)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import Route
+from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
 
 if TYPE_CHECKING:
@@ -69,6 +70,11 @@ def _help(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
 
 def _ver(_port: PortCore, _words: Sequence[Any]) -> list[Any]:
     return [Vocab("ver"), 1, 2, 3]
+
+
+def _pid(port: PortCore, _words: Sequence[Any]) -> list[Any]:
+    """ROS' question, which YARP 3's ports know and YARP 4's do not: by that they are told apart."""
+    return [1, "", os.getpid()] if port.profile is Profile.YARP3 else list(_UNKNOWN)
 
 
 def _add(port: PortCore, words: Sequence[Any]) -> list[Any]:
@@ -190,6 +196,8 @@ def _detach(_port: PortCore, words: Sequence[Any]) -> list[Any]:
 _COMMANDS: dict[str, Callable[[PortCore, Sequence[Any]], list[Any]]] = {
     "help": _help,
     "ver": _ver,
+    "getPid": _pid,
+    "pid": _pid,
     "add": _add,
     "del": _del,
     "list": _list,

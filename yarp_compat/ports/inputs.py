@@ -41,11 +41,13 @@ class Input:
         opened: the introduction.
         already: what came behind that.
         address: the peer's.
+        greeting: the answer to the introduction, where the peer has not got it yet.
     """
 
     def __init__(
-        self, port: PortCore, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int]
-    ) -> None:
+        self, port: PortCore, sock: socket.socket, opened: Opening, already: bytes, address: tuple[str, int],
+        greeting: bytes = b"",
+    ) -> None:  # fmt: skip
         self.port = port
         self.route = Route(opened.sender, port.name, opened.carrier.name)
         self.carrier = opened.carrier
@@ -56,6 +58,7 @@ class Input:
         sock.setblocking(True)
         self.stream = Stream(sock, already, port.limit)
         self._already = bool(already)
+        self._greeting = greeting
         self._thread: threading.Thread | None = None
         self._over = threading.Event()
         self._closing = False
@@ -65,7 +68,7 @@ class Input:
 
     def start(self, loop: Loop) -> None:
         """Wait for the first bytes; only a connection that says something gets a thread."""
-        if self._already:
+        if self._already or self._greeting:
             self._begin()
         else:
             loop.call(lambda: self._await(loop))
@@ -128,6 +131,8 @@ class Input:
 
     def _run(self) -> None:
         try:
+            if self._greeting:
+                self._greet()
             if self.take():
                 self.port.turned(self, self.sock)
                 self._over.set()
@@ -141,6 +146,14 @@ class Input:
         except Exception:
             _log.exception("connection %s -> %s failed", self.route.source, self.route.target)
         self._end()
+
+    def _greet(self) -> None:
+        """Ask the port that calls for its dialect, and answer it: before that it cannot send.
+
+        Later, with a request on its way, a C++ port would answer nobody else (``PortCore::sendHelper`` has the lock).
+        """
+        self.profile = self.port.dialect_of(self.route.source)
+        self.sock.sendall(self._greeting)
 
     # -- messages -----------------------------------------------------------------------------------------------------
 

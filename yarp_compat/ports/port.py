@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from yarp_compat.naming.dialect import asked
 from yarp_compat.naming.naming import Naming
 from yarp_compat.ports import accepting, admin, commands, loop, process
 from yarp_compat.ports.address import bound
@@ -61,12 +62,14 @@ class PortCore:
         is_output: it writes; otherwise no outputs are made.
         on_event: told when a connection comes or goes; must not block.
         on_line: answers lines to a name server, given without ``NAME_SERVER`` and with the peer's address.
+        replies: its owner answers, so who connects is asked for its dialect first; by default RPC ports do.
     """
 
     def __init__(
         self, name: str, *, on_message: OnMessage | None = None, naming: Naming, rpc: bool = False, type_name: str = "",
         limit: int = message.DEFAULT_LIMIT, host: str | None = None, number: int = 0, profile: Profile = Profile.YARP3,
         is_input: bool = True, is_output: bool = True, on_event: OnEvent | None = None, on_line: OnLine | None = None,
+        replies: bool | None = None,
     ) -> None:  # fmt: skip
         self.name = name
         self.contact = Contact(name)
@@ -79,6 +82,7 @@ class PortCore:
         self.is_output = is_output
         self.on_message = on_message
         self.on_line = on_line
+        self.replies = rpc if replies is None else replies
         self.counters = Counters()
         self.properties: dict[str, Any] = {}
         self.connections = Connections(on_event)
@@ -317,7 +321,8 @@ class PortCore:
 
     def _connect(self, contact: Contact, carrier: Carrier, qualifiers: str, route: Route) -> None:
         if carrier is not carriers.LOCAL:
-            self._add(dial(contact, carrier, self.name, qualifiers), route, carrier)
+            sock = dial(contact, carrier, self.name, qualifiers)
+            self._add(sock, route, carrier, None if carrier.text else self._dialect_at(contact))
             return
         there = process.find(contact)
         if there is None:
@@ -325,9 +330,9 @@ class PortCore:
             raise ConnectionRefusedError(msg)
         ours, theirs = socket.socketpair()
         there.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
-        self._add(ours, route, carrier)
+        self._add(ours, route, carrier, there.profile)
 
-    def _add(self, sock: socket.socket, route: Route, carrier: Carrier) -> None:
+    def _add(self, sock: socket.socket, route: Route, carrier: Carrier, profile: Profile | None) -> None:
         shared = self._loop
         if shared is None:
             sock.close()
@@ -338,10 +343,23 @@ class PortCore:
             output = DatagramOutput(sock, route, self.connections.remove_output)
         else:
             output = Output(sock, route, carrier, shared, self.connections.remove_output, self.limit)
+        output.profile = profile
         if not self.connections.add_output(output):
             output.close()
             msg = f"port {self.name} is closed, or has too many outputs"
             raise ConnectionAbortedError(msg)
+
+    def dialect_of(self, name: str) -> Profile | None:
+        """What another port says of its dialect; takes a while, see :func:`yarp_compat.naming.dialect.asked`."""
+        try:
+            contact = self.naming.query(name)
+        except OSError:
+            return None
+        return self._dialect_at(contact) if contact is not None and contact.is_valid else None
+
+    def _dialect_at(self, contact: Contact) -> Profile | None:
+        there = process.find(contact)
+        return asked(contact) if there is None else there.profile
 
     def remove_output(self, name: str) -> tuple[bool, str]:
         """End the output connection to a port; whether there was one, and YARP's words."""
@@ -417,7 +435,7 @@ class PortCore:
         self.ended(connection)
         route = Route(self.name, connection.route.source, connection.route.carrier)
         with contextlib.suppress(ConnectionAbortedError):
-            self._add(sock, route, connection.carrier)
+            self._add(sock, route, connection.carrier, connection.profile)
 
     def deliver(self, incoming: Message) -> None:
         """Give a message to the port's owner."""

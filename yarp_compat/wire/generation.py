@@ -93,14 +93,23 @@ class Generations:
         self._told: dict[str, tuple[Generation, str]] = {}
         self._lock = threading.Lock()
 
-    def introduced(self, peer: str) -> None:
-        """The peer asked for the protocol's version, as only clients of 4.0 do."""
-        self._remember(peer, Generation.YARP_4, "it asked for the protocol's version, as clients of 4.0 do")
+    def introduced(self, peer: str, profile: Profile | None = None) -> None:
+        """The peer asked for the protocol's version, as clients of 4.0 do, and some of 3.12.
+
+        Args:
+            peer: its name.
+            profile: its dialect, where that is known.
+        """
+        asked = "it asked for the protocol's version"
+        if profile is Profile.YARP3:
+            self._remember(peer, Generation.YARP_3_12, f"{asked}, and is of YARP 3, of which only 3.12 does")
+        else:
+            self._remember(peer, Generation.YARP_4, f"{asked}, as clients of 4.0 do")
 
     def recognised(self, peer: str, profile: Profile) -> None:
         """The peer wrote bytes that only one profile explains: that outweighs all else, also an introduction.
 
-        (3.12's servers answer introductions, and clients of services of one's own may send them there.)
+        (Clients of services of one's own may introduce themselves in 3.12 too.)
         """
         if profile is self.of(peer).generation.profile:
             return

@@ -29,14 +29,14 @@ def whole(data: Buffer, size: int) -> int:
 @pytest.mark.parametrize("generation", Generation)
 def test_a_client_and_a_server(make_port: MakePort, generation: Generation, carrier: str) -> None:
     make_port("/server/rpc", Server(Kept(), Generations(generation)), rpc=True)
-    client = make_port("/client/rpc", rpc=True)
+    client = make_port("/client/rpc", rpc=True, profile=generation.profile)
     assert client.add_output(f"{carrier}://server/rpc")[0]
     places = Places(PortChannel(client, generation, timeout=10))
     assert places.get_location_RPC("kitchen")[0].code is ReturnCode.METHOD_FAILED
     assert places.store_location_RPC("kitchen", KITCHEN) == OK
     assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
     assert places.names() == ["kitchen"]
-    assert places.introduce() == (3, 4, 0, 0)
+    assert places.introduce() == ((3, 4, 0, 0) if generation is Generation.YARP_4 else (3, 3, 12, 0))
     assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
 
 
@@ -54,7 +54,8 @@ def test_the_server_tells_who_is_who(make_port: MakePort) -> None:
     """One client of 4.0 that introduces itself, one of 3.9 that a rule names, one that nobody named."""
     generations = Generations(Generation.YARP_3_12, [("/old/*", Generation.YARP_3_6)])
     make_port("/server/rpc", Server(Kept(), generations), rpc=True)
-    ports = {name: make_port(name, rpc=True) for name in ("/new/rpc", "/old/rpc", "/other/rpc")}
+    dialects = {"/new/rpc": Profile.YARP4, "/old/rpc": Profile.YARP3, "/other/rpc": Profile.YARP3}
+    ports = {name: make_port(name, rpc=True, profile=profile) for name, profile in dialects.items()}
     for port in ports.values():
         assert port.add_output("/server/rpc")[0]
     assert Places(PortChannel(ports["/new/rpc"], timeout=10)).introduce() is not None

@@ -321,5 +321,6 @@ def test_answers_are_in_the_askers_dialect(profile: Profile) -> None:
     assert server.open("/s")
     asker = Client("/s", naming=RUNTIME.naming, profile=profile)
     with asker:
+        asker.core.connections.outputs[0].profile = profile
         answer = asker.core.request(binary.encode(["x", 2.5], profile))
     assert binary.decode(answer, profile) == ["got", "x", 2.5]

@@ -175,6 +175,12 @@ def test_writer_takes_companions() -> None:
 # -- ours calls --------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def _asking_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The programs that were recorded do not ask others for their dialect; test_dialect tests that."""
+    monkeypatch.setattr("yarp_compat.ports.port.asked", lambda _contact: None)
+
+
 class Stage:
     """Plays everybody but our port, in the recorded order: the companion that talks to it, and the port it calls."""
 
@@ -237,6 +243,7 @@ class Stage:
     ("name", "own", "other", "file"),
     [("/writer", 10003, ("/reader", 10002), "connect.txt"), ("/w", 10006, ("/r", 10005), "carriers-admin.txt")],
 )
+@pytest.mark.usefixtures("_asking_nobody")
 def test_writer(name: str, own: int, other: tuple[str, int], file: str, profile: Profile) -> None:
     """A companion connects our port to another, it writes, it is disconnected: fast_tcp, udp, text and text_ack."""
     left_out = MCAST if own == 10006 else range(0)
@@ -258,6 +265,7 @@ def _without_quit(talk: Talk) -> Talk:
     return Talk(talk.number, talk.port, talk.steps[:at])
 
 
+@pytest.mark.usefixtures("_asking_nobody")
 @pytest.mark.parametrize("profile", PROFILES)
 def test_rpc_client(profile: Profile) -> None:
     (talk,) = talks("rpc.txt", 10004)

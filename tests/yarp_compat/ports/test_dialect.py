@@ -1,0 +1,217 @@
+"""Ports ask others which YARP they are: as real 3.12.3 and 4.0 answer it (recorded), and as nobody should."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.dev.test_service import Kept, Places
+from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.dev.channel import PortChannel
+from yarp_compat.dev.server import Server
+from yarp_compat.naming.dialect import asked
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.profile import Profile
+
+YARP_3_12 = b'Welcome admin\r\n1 "" 20698\r\n<ACK>\r\n'
+YARP_4 = b'Welcome admin\r\n[fail] "send [help] for list of valid commands"\r\n<ACK>\r\n'
+TOLD = {YARP_3_12: Profile.YARP3, YARP_4: Profile.YARP4}
+
+
+class Other:
+    """Another program's port: tells of itself, unless it waits for a reply, as C++ ports do."""
+
+    def __init__(self, told: bytes) -> None:
+        self.told = told
+        self.asked: list[bytes] = []
+        self.waits = threading.Event()
+        self.data: list[socket.socket] = []
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        host, number = self._server.getsockname()
+        return host, number
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._server.shutdown(socket.SHUT_RDWR)
+        self._server.close()
+        self._thread.join(10)
+        for sock in self.data:
+            sock.close()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                sock = self._server.accept()[0]
+                first = sock.recv(100)
+                if not first.startswith(b"CONNACK"):
+                    sock.sendall(b"YA\x12\x27\0\0RP")
+                    self.data.append(sock)
+                    continue
+                with sock:
+                    while first.count(b"\n") < 3:
+                        first += sock.recv(100)
+                    self.asked.append(first)
+                    if not self.waits.is_set():
+                        sock.sendall(self.told)
+
+
+@pytest.fixture(params=TOLD)
+def other(request: pytest.FixtureRequest) -> Iterator[Other]:
+    """A port of either YARP."""
+    port = Other(request.param)
+    yield port
+    port.close()
+
+
+def test_what_real_ports_say(other: Other) -> None:
+    assert asked(Contact("/other", *other.address, "tcp")) is TOLD[other.told]
+    assert other.asked == [b"CONNACK admin\r\na\r\ngetPid\r\n"]
+
+
+@pytest.mark.parametrize(
+    "told",
+    [b"", b"HTTP/1.0 400\r\n\r\n", b"Welcome admin\r\n<ACK>\r\n", b"Welcome admin\r\n(((\r\n<ACK>\r\n",
+     b"Welcome admin\r\n2 7\r\n<ACK>\r\n", b"Welcome admin\r\n" + b"x" * 100_000],
+)  # fmt: skip
+def test_what_no_yarp_says(told: bytes) -> None:
+    port = Other(told)
+    try:
+        odd = Contact("/odd", *port.address, "tcp")
+        assert asked(odd) is None
+    finally:
+        port.close()
+    assert asked(odd) is None, "nobody listens there any more"
+
+
+def test_who_says_nothing_costs_no_more_than_its_time() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        assert asked(Contact("/mute", *server.getsockname(), "tcp"), timeout=0.1) is None
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_our_own_ports_say_theirs(make_port: MakePort, profile: Profile) -> None:
+    assert asked(make_port("/p", profile=profile).contact) is profile
+
+
+@pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])
+def test_an_output_writes_what_its_reader_reads(
+    make_port: MakePort, naming: LocalNaming, other: Other, carrier: str
+) -> None:
+    profile = TOLD[other.told]
+    naming.register("/other", *other.address)
+    writer = make_port("/w", profile=Profile.YARP4 if profile is Profile.YARP3 else Profile.YARP3)
+    assert writer.add_output(f"{carrier}://other")[0]
+    (output,) = writer.connections.outputs
+    assert output.profile is profile
+    writer.write(lambda dialect: encode([1.5], dialect), strict=True)
+    expected = encode([1.5], profile)
+    came = b""
+    other.data[0].settimeout(10)
+    while not came.endswith(expected):
+        came += other.data[0].recv(1000)
+
+
+def call(port: Contact, name: bytes) -> socket.socket:
+    """The connection of a port that calls by fast_tcp; not answered yet."""
+    sock = socket.create_connection((port.host, port.port), 10)
+    sock.sendall(b"YAd\x1e\0\0RP" + (len(name) + 1).to_bytes(4, "little") + name + b"\0")
+    return sock
+
+
+def ask(sock: socket.socket, request: bytes, size: int) -> bytes:
+    """Send a request and receive that much of the reply."""
+    index = b"YA\x0a\0\0\0RP\x02\x01" + b"\xff" * 8 + (8).to_bytes(4, "little") + len(request).to_bytes(4, "little")
+    sock.sendall(index + bytes(4) + b"\0\0\0\0~d\0\1" + request)
+    came = b""
+    while len(came) < size and (part := sock.recv(size - len(came))):
+        came += part
+    return came
+
+
+def test_who_asks_for_the_version_is_known_before(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
+    """A client's port answers nobody while it waits for a reply, so it is asked before it can send any request."""
+    naming.register("/client", *other.address)
+    server = Server(Kept())
+    port = make_port("/server", server, rpc=True, on_event=server.on_event)
+    with call(port.contact, b"/client") as sock:
+        assert len(sock.recv(8)) == 8
+        other.waits.set()
+        version = ask(sock, encode(["getRemoteProtocolVersion"], Profile.YARP3), 16)
+        cleared = ask(sock, Places.calls()["clear_RPC"].request([], Profile.YARP3), 8)
+        if TOLD[other.told] is Profile.YARP4:
+            assert version.hex() == "00010000010000000300040000000000"
+            assert cleared + sock.recv(8) == bytes.fromhex("00010000 01000000 09000000 6f6b0000")
+        else:
+            assert version.hex() == "0001000001000000030003000c000000"
+            assert cleared == bytes.fromhex("01000000 00000000")
+    assert len(other.asked) == 1
+    (decision,) = server.generations.explain()
+    assert decision.generation is (Generation.YARP_4 if TOLD[other.told] is Profile.YARP4 else Generation.YARP_3_12)
+
+
+def test_replies_are_in_the_dialect_of_who_asks(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
+    """Also where the request has no numbers that would tell."""
+    naming.register("/client", *other.address)
+
+    def take(message: Message) -> None:
+        assert decode(message.payload) == ["speed"]
+        message.reply(encode([1.5], message.peer.profile or Profile.YARP3))
+
+    port = make_port("/server", take, rpc=True)
+    with call(port.contact, b"/client") as sock:
+        assert len(sock.recv(8)) == 8
+        expected = encode([1.5], TOLD[other.told])
+        assert ask(sock, encode(["speed"], Profile.YARP3), len(expected)) == expected
+
+
+@pytest.mark.parametrize("name", [b"/nobody", b"anon_rpc", b"/client"])
+def test_who_cannot_be_asked_is_answered_all_the_same(
+    make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch, name: bytes
+) -> None:
+    monkeypatch.setattr("yarp_compat.ports.port.asked", lambda contact: asked(contact, timeout=0.1))
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        naming.register("/client", *mute.getsockname())
+        port = make_port("/server", lambda message: message.reply(encode(["yes"], Profile.YARP3)), rpc=True)
+        with call(port.contact, name) as sock:
+            assert len(sock.recv(8)) == 8
+            yes = encode(["yes"], Profile.YARP3)
+            assert ask(sock, encode(["?"], Profile.YARP3), len(yes)) == yes
+
+
+def test_a_port_that_gives_no_replies_asks_nobody(make_port: MakePort, naming: LocalNaming, other: Other) -> None:
+    naming.register("/client", *other.address)
+    port = make_port("/r", lambda _: None)
+    with call(port.contact, b"/client") as sock:
+        assert len(sock.recv(8)) == 8
+    assert other.asked == []
+
+
+def test_closing_waits_for_nobody_long(make_port: MakePort, naming: LocalNaming) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        naming.register("/client", *mute.getsockname())
+        port = make_port("/server", lambda _: None, rpc=True)
+        with call(port.contact, b"/client"):
+            until(port.inputs, "the call")
+            port.close()
+
+
+def test_channels_know_their_server(make_port: MakePort, naming: LocalNaming) -> None:
+    for profile in Profile:
+        make_port(f"/server{profile.value}", Server(Kept()), rpc=True, profile=profile)
+        client = make_port(f"/client{profile.value}", rpc=True)
+        assert client.add_output(f"/server{profile.value}")[0]
+        assert Places(PortChannel(client, timeout=10)).count(2, 3.0) == 5
