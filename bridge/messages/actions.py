@@ -164,6 +164,18 @@ class Actions:
                 types |= self._ros2_types(ros2_action, self._ros2_content(ros2_action, part, one))
         return types
 
+    def names(self, package: str) -> list[str]:
+        """ROS 2 actions of a package of which all is known: installed, told on the hub, and made of ROS 1 actions."""
+        known = [split_part(name)[0] for name in self._ros2.names(package, "action")]
+        known += [legal_type(name, "action") for name in self._ros1_names(package)]
+        return [name for name in dict.fromkeys(known) if name.startswith(f"{package}/") and self._is_whole(name)]
+
+    def _is_whole(self, action: str) -> bool:
+        if all(self._ros2.find(f"{action}_{content}") is not None for content in CONTENTS["action"]):
+            return True
+        ros1 = next((name for name in self._known_ros1(action) if self.ros2_name(name) == action), "")
+        return bool(ros1) and all(self._find_ros1(ros1, content) is not None for content in CONTENTS["action"])
+
     def _ros2_content(self, action: str, part: str, ros1: Schema) -> Schema:
         """A ROS 2 action's goal, result or feedback."""
         name = f"{action}_{_CONTENT_OF[part]}"
@@ -190,20 +202,27 @@ class Actions:
                 ros2 = self._ros2.find(f"{name}_{content}")
                 if ros2 is not None and self.ros1_name(name) == action:
                     return derive_ros1(ros2, self._to_ros1, f"{action}{content}")
-        raise unknown_type(action.replace("/", "/action/", 1), World.ROS1)
+        base = action.replace("/", "/action/", 1)
+        raise unknown_type(base if content == "Goal" else f"{base}_{content}", World.ROS1)
 
     def _find_ros1(self, action: str, content: str) -> Schema | None:
         return self._ros1.find(f"{action}{content}", newest=True)
 
     def _known_ros1(self, action: str) -> Iterator[str]:
         """The ROS 1 actions that may stand for a ROS 2 action, the likeliest first."""
-        package = action.split("/", 1)[0]
         names = self._rules.ros1_names(action)
-        goals = [name.removesuffix("Goal") for name in self._ros1.names(package) if name.endswith("Goal")]
-        names += [name for name in goals if name not in names and legal_type(name, "action") == action]
+        others = self._ros1_names(action.split("/", 1)[0])
+        names += [name for name in others if name not in names and legal_type(name, "action") == action]
         for name in names:
             if self._find_ros1(name, "Goal") is not None:
                 yield name
+
+    def _ros1_names(self, package: str) -> list[str]:
+        """What may be actions of a ROS 1 package: all that has a goal, but for what wraps one."""
+        known = dict.fromkeys(self._ros1.names(package))
+        goals = [name for name in known if name.endswith("Goal")]
+        wrappers = {f"{name.removesuffix('Goal')}ActionGoal" for name in goals}
+        return [name.removesuffix("Goal") for name in goals if name not in wrappers]
 
     def _ros1_types(self, base: str, content: Schema) -> Types:
         uuid = self._ros2.installed(_UUID)

@@ -261,12 +261,18 @@ class Registry:
                 if isinstance(source, Tree):
                     files = {**source.files(package), **files}
             for name in self._ros2.names(package):
-                _, kind, short = name.split("/")
-                if kind == "msg" and f"msg/{short}.msg" not in files:
+                short = name.split("/")[2]
+                if f"msg/{short}.msg" not in files:
                     files[f"msg/{short}.msg"] = own_text(self._find_ros2(name, "").root)
             for schema in self._derivable(package):
                 short = schema.name.split("/")[2]
                 files.setdefault(f"msg/{short}.msg", own_text(schema.root))
+            for kind, found in (("srv", self._services), ("action", self._actions)):
+                for name in found.names(package):
+                    path = f"{kind}/{name.split('/')[2]}.{kind}"
+                    contents = [f"{name}_{part}" for part in CONTENTS[kind]]
+                    if path not in files:
+                        files[path] = "---\n".join(own_text(self._find_ros2(one, "").root) for one in contents)
             return files
 
     def _forget(self) -> None:

@@ -198,18 +198,14 @@ class Services:
             left_out=(*request.left_out, *response.left_out),
         )
 
-    def derivable(self, package: str) -> Iterator[Service]:
-        """ROS 2 services of a package that are made from ROS 1 services."""
+    def names(self, package: str) -> list[str]:
+        """ROS 2 services of a package: installed ones, those told on the hub, and what is made of ROS 1 services."""
+        known = [name for name in self._ros2.names(package, "srv") if is_service(name)]
         for name in self._ros1.names(package, "srv"):
-            ros1 = self._find_ros1(name.replace("/srv/", "/", 1))
-            if ros1 is None:
-                continue
-            try:
-                ros2 = self.to_ros2(ros1)
-            except MessageTypeError:
-                continue
-            if ros2.request.root.package == package:
-                yield ros2
+            ros2 = legal_type(name.replace("/srv/", "/", 1), "srv")
+            if ros2 not in known and ros2.startswith(f"{package}/"):
+                known.append(ros2)
+        return known
 
     def _find_ros1(self, name: str) -> Service | None:
         base = name.replace("/", "/srv/", 1)

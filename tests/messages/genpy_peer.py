@@ -1,8 +1,9 @@
 """Run by the system's Python: what real genpy makes of sample messages.
 
 Reads one JSON list from standard input: ``{"type", "definition", "values", "ros1"}`` with the fields' values in ROS
-2's naming and the base64 bytes that were converted. Writes for each ``{"md5", "bytes", "same"}``: genpy's md5, its own
-bytes of the same values, and whether it reads the converted bytes as the same message; or ``{"error"}``.
+2's naming and the base64 bytes that were converted; a service's request is of type ``pkg/srv/Name_Request``. Writes for
+each ``{"md5", "bytes", "same"}``: genpy's md5, its own bytes of the same values, and whether it reads the converted
+bytes as the same message; or ``{"error"}``.
 """
 
 import base64
@@ -18,7 +19,10 @@ MADE = {}
 
 
 def message_class(name, definition):
-    package, short = name.split("/")
+    package, *kind, short = name.split("/")
+    if kind:
+        service, _, part = short.rpartition("_")
+        return getattr(importlib.import_module(f"{package}.srv"), service + part)
     try:
         return getattr(importlib.import_module(f"{package}.msg"), short)
     except (ImportError, AttributeError):

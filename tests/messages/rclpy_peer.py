@@ -2,13 +2,15 @@
 
 Reads one JSON list from standard input: ``{"type", "values", "cdr"}`` with the base64 bytes that were made here. Writes
 for each ``{"bytes", "same"}``: rclpy's own bytes of the same values (with the slack that it leaves behind them), and
-whether it reads the given bytes as the same message; ``{"missing"}`` where it has no such type; or ``{"error"}``.
+whether it reads the given bytes as the same message; ``{"missing"}`` where it has no such type; or ``{"error"}``. For
+``{"hash"}``, a service, an action or a service of an action, ``{"hash"}`` as its type support has it.
 """
 
 from __future__ import annotations
 
 import array
 import base64
+import ctypes
 import importlib
 import json
 import sys
@@ -44,11 +46,36 @@ def convert(now: Any, kind: str, value: Any) -> Any:
 
 
 def message_class(name: str) -> Any:
-    parts = name.split("/")
-    return getattr(importlib.import_module(f"{parts[0]}.msg"), parts[-1])
+    package, *kind, short = name.split("/")
+    if kind in ([], ["msg"]):
+        return getattr(importlib.import_module(f"{package}.msg"), short)
+    base, *parts = short.split("_")
+    found = getattr(importlib.import_module(f"{package}.{kind[0]}"), base)
+    if len(parts) == 2:
+        found, parts = getattr(found.Impl, f"{parts[0]}Service"), parts[1:]
+    return getattr(found.Impl if parts == ["FeedbackMessage"] else found, parts[0])
+
+
+def type_hash(name: str) -> str:
+    """What the C type support says: the address of the function is a word of its structure."""
+    package, kind, short = name.split("/")
+    base, _, part = short.partition("_")
+    found = getattr(importlib.import_module(f"{package}.{kind}"), base)
+    if part:
+        found = getattr(found.Impl, f"{part}Service")
+    found.__class__.__import_type_support__()
+    ctypes.pythonapi.PyCapsule_GetPointer.restype = ctypes.c_void_p
+    ctypes.pythonapi.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
+    support = ctypes.pythonapi.PyCapsule_GetPointer(found._TYPE_SUPPORT, None)
+    words = ctypes.cast(support, ctypes.POINTER(ctypes.c_void_p))
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(words[5 if kind == "action" and not part else 8] or 0)
+    version, *value = ctypes.string_at(get(support) or 0, 33)
+    return f"RIHS{version:02}_{bytes(value).hex()}"
 
 
 def answer(item: dict[str, Any]) -> dict[str, Any]:
+    if "hash" in item:
+        return {"hash": type_hash(item["hash"])}
     try:
         cls = message_class(item["type"])
     except (ImportError, AttributeError):

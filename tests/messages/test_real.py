@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import base64
-import json
-import os
-import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,43 +12,16 @@ from bridge.messages.definition import Schema, Shape
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
-from tests.messages.samples import GENPY, genpy_types, sample
+from tests.messages.peers import genpy, needs_genpy, rclpy, text
+from tests.messages.samples import genpy_types, sample
 
-HERE = Path(__file__).parent
-SYSTEM_PYTHON = Path("/usr/bin/python3")
 LENGTHS = (0, 1, 2, 3)
 RENAMED = {"std_msgs/Time", "std_msgs/Duration", "rosgraph_msgs/Log"}
-
-needs_genpy = pytest.mark.skipif(not (GENPY / "genpy").is_dir(), reason="ROS 1 is not installed")
 
 
 def ros2_names() -> list[str]:
     share = Path(sys.prefix) / "share"
     return sorted(f"{path.parts[-3]}/msg/{path.stem}" for path in share.glob("*/msg/*.msg"))
-
-
-def batch(python: Path, peer: str, items: list[dict[str, Any]], env: dict[str, str] | None) -> list[dict[str, Any]]:
-    done = subprocess.run(
-        [python, HERE / peer],
-        input=json.dumps(items),
-        capture_output=True,
-        text=True,
-        env=env,
-        timeout=100,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-3000:]
-    answers: list[dict[str, Any]] = json.loads(done.stdout)
-    assert len(answers) == len(items)
-    return answers
-
-
-def genpy(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return batch(SYSTEM_PYTHON, "genpy_peer.py", items, {"PATH": os.environ["PATH"], "LC_ALL": "C.UTF-8"})
-
-
-def text(content: bytes) -> str:
-    return base64.b64encode(content).decode()
 
 
 @needs_genpy
@@ -139,7 +108,7 @@ def test_cdr_bytes_are_those_of_rclpy(registry: Registry):
         for length in LENGTHS:
             values = sample(registry.schema(name), length)
             items.append({"type": name, "values": values, "cdr": text(from_json(registry, name, values))})
-    answers = batch(Path(sys.executable), "rclpy_peer.py", items, None)
+    answers = rclpy(items)
     checked = 0
     for item, answer in zip(items, answers, strict=True):
         name = item["type"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
@@ -32,7 +33,13 @@ class Outgoing(NamedTuple):
 
 
 class Codec(ABC):
-    """Converts messages of one type in one content and profile. Methods may be called from any thread."""
+    """Converts messages of one type in one content and profile. Methods may be called from any thread.
+
+    Attributes:
+        now_ns: the time of a message that comes without one, where its ROS type has one.
+    """
+
+    now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     @abstractmethod
     def to_yarp(self, cdr: bytes) -> Outgoing:

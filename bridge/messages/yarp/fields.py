@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -102,7 +101,7 @@ class FieldsCodec(Codec):
         message: dict[str, Any] = {}
         if self._stamped:
             _put(message, ("header", "frame_id"), self._frame)
-            _put(message, ("header", "stamp"), _time(time.time_ns() if stamp_ns is None else stamp_ns))
+            _put(message, ("header", "stamp"), _time(self.now_ns() if stamp_ns is None else stamp_ns))
         for (entry, kind), value in zip(self._entries, values, strict=True):
             if kind is None:
                 _compare(entry, value)

@@ -356,3 +356,17 @@ def test_any_scan_there_and_back(profile: Profile, ranges: list[float], low: flo
 
 def _json(number: float) -> Any:
     return "Infinity" if math.isinf(number) else number
+
+
+def test_a_clock_is_yarps_network_clock_whatever_the_rule_says() -> None:
+    time = {"clock": {"sec": 12, "nanosec": 500_000_000}}
+    kind = "rosgraph_msgs/msg/Clock"
+    for form in ("bottle", "natural"):
+        chosen = Content(form).codec(REGISTRY, kind)
+        payload = b"".join(map(bytes, chosen.to_yarp(from_json(REGISTRY, kind, time)).payload))
+        assert binary.decode(payload, Profile.YARP3) == [12, 500_000_000]
+        for values in ([12, 500_000_000], [[12, 500_000_000]]):
+            cdr = chosen.to_hub(binary.encode(values, Profile.YARP3), None, None)
+            assert to_json(REGISTRY, kind, cdr) == time
+        with pytest.raises(ConversionError, match="seconds and nanoseconds"):
+            chosen.to_hub(binary.encode(["noon"], Profile.YARP3), None, None)

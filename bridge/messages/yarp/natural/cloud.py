@@ -48,7 +48,7 @@ class _Cloud:
         cloud = PointCloud.of(points, dense=bool(message["is_dense"]))
         cloud.write(out)
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         cloud = PointCloud()
         cloud._read(source)
         layout = LAYOUTS[cloud.getPointType()]

@@ -8,8 +8,8 @@ from bridge.messages import values
 from bridge.messages.definition import Schema
 from bridge.messages.errors import ConversionError
 from bridge.messages.yarp.codec import Codec, Outgoing, is_stamped, stamp_of
-from bridge.messages.yarp.natural import cloud, motion, picture, places, plain, scan
-from bridge.messages.yarp.natural.kind import Kind, Message, Missing
+from bridge.messages.yarp.natural import clock, cloud, motion, picture, places, plain, scan
+from bridge.messages.yarp.natural.kind import Kind, Missing
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
@@ -23,6 +23,7 @@ KINDS: Mapping[str, Kind] = {
     **motion.KINDS,
     **places.KINDS,
     **plain.KINDS,
+    **clock.KINDS,
 }
 """What there is, by the message's ROS 2 name."""
 
@@ -53,16 +54,14 @@ class NaturalCodec(Codec):
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`."""
         wrong: WireError | None = None
+        time_ns = self.now_ns() if stamp_ns is None else stamp_ns
         for known in Profile if profile is None else (profile,):
             source = Reader(payload, known)
             try:
-                message = self._read(source, stamp_ns)
+                message = self._kind.to_ros(source, time_ns, self._missing)
                 source.finish()
             except WireError as err:
                 wrong = wrong or err
                 continue
             return values.Writer(self._schema).message(message)
         raise ConversionError(f"not what YARP sends for a {self._schema.name}: {wrong}")
-
-    def _read(self, source: Reader, stamp_ns: int | None) -> Message:
-        return self._kind.to_ros(source, stamp_ns, self._missing)

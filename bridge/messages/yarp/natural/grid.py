@@ -47,7 +47,7 @@ class Grid:
         out.blob(cells.astype(np.uint8).tobytes())  # -1 becomes 255
         out.blob(flags.tobytes())
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         """See `Kind`; the flags are not taken."""
         source.begin()
         width, height = source.integer(), source.integer()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -37,13 +36,13 @@ class Kind(Protocol):
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         """Write the YARP type."""
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
-        """Read the YARP type that comes next; ``stamp_ns`` is the time of its envelope."""
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
+        """Read the YARP type that comes next; ``stamp_ns`` is the time of its envelope, else the present."""
 
 
-def header(stamp_ns: int | None, frame: str) -> Message:
-    """A header with the envelope's time, else the present."""
-    seconds, rest = split_time(time.time_ns() if stamp_ns is None else stamp_ns)
+def header(stamp_ns: int, frame: str) -> Message:
+    """A header."""
+    seconds, rest = split_time(stamp_ns)
     return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
 
 

@@ -31,7 +31,7 @@ class _Odometry:
         ):  # fmt: skip
             out.float64(number)
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         source.begin()
         x, y, theta, ahead, left, turn, *_ = (source.float64() for _ in range(9))
         source.end()
@@ -53,7 +53,7 @@ class _Velocity:
         out.float64(twist["linear"]["y"])
         out.float64(math.degrees(twist["angular"]["z"]))
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:  # noqa: ARG002
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         source.begin()
         ahead, left, turn = (source.float64() for _ in range(3))
         source.end()
@@ -61,7 +61,7 @@ class _Velocity:
 
 
 class _StampedVelocity(_Velocity):
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         velocity = super().to_ros(source, stamp_ns, missing)
         return {"header": header(stamp_ns, missing.frame or "base_link"), "twist": velocity}
 
@@ -74,7 +74,7 @@ class _Joints:
             degrees = np.degrees(message["position"])
         write_numbers(out, degrees)
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         with np.errstate(invalid="ignore"):
             positions = np.radians(read_numbers(source))
         names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))

@@ -61,7 +61,7 @@ class _Picture:
         picture.setExternal(np.ascontiguousarray(rows), message["width"], message["height"])
         picture.write(out)
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         picture = FlexImage()
         picture._read(source)
         name = _ENCODINGS.get(PixelCode(picture.getPixelCode())) if picture.getPixelCode() > 0 else None

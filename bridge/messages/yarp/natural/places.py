@@ -38,7 +38,7 @@ class _Pose:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         write_location(out, message["header"]["frame_id"], message["pose"])
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         frame, pose = read_location(source)
         return {"header": header(stamp_ns, missing.frame or frame), "pose": pose}
 
@@ -49,7 +49,7 @@ class _UncertainPose:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         write_location(out, message["header"]["frame_id"], message["pose"]["pose"])
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         frame, pose = read_location(source)
         return {"header": header(stamp_ns, missing.frame or frame), "pose": {"pose": pose}}
 
@@ -64,7 +64,7 @@ class _Path:
             write_location(out, pose["header"]["frame_id"] or message["header"]["frame_id"], pose["pose"])
         out.string("")
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         source.begin()
         found = [read_location(source) for _ in range(source.begin())]
         source.end()

@@ -29,7 +29,7 @@ class _Text:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         out.block(encode([message["data"]], out.profile))
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:  # noqa: ARG002
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         values = _bottle(source)
         single = len(values) == 1 and isinstance(values[0], str)
         text = str(values[0]) if single else to_text(values)
@@ -49,7 +49,7 @@ class _Number:
             value -= 1 << bits
         out.block(encode([_WRITTEN.get(self._base, type(value))(value)], out.profile))
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:  # noqa: ARG002
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         values = _bottle(source)
         if len(values) != 1 or not isinstance(values[0], int | float):
             raise ConversionError(f"the Bottle is to be one number: {to_text(values)[:80]}")
@@ -73,7 +73,7 @@ class _Array:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         write_numbers(out, message["data"])
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:  # noqa: ARG002
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         numbers = read_numbers(source)
         if self._base.startswith("float"):
             return {"data": numbers}
@@ -91,7 +91,7 @@ class _Coordinates:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         out.block(encode([float(message[name]) for name in self._names], out.profile))
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:  # noqa: ARG002
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
         numbers = read_numbers(source).tolist()
         if len(numbers) != len(self._names):
             raise ConversionError(f"there are {len(numbers)} numbers, not {len(self._names)} ({' '.join(self._names)})")

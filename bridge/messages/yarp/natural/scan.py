@@ -32,7 +32,7 @@ class _Scan:
         write_numbers(out, message["ranges"].astype(np.float64))
         out.integer(_IN_USE)
 
-    def to_ros(self, source: Reader, stamp_ns: int | None, missing: Missing) -> Message:
+    def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
         source.begin()
         low, high = math.radians(source.float64()), math.radians(source.float64())
         nearest, farthest = source.float64(), source.float64()
