@@ -1,0 +1,166 @@
+"""The frames that a goal names, and those that are on the side: a goal in a frame that is not there may never end.
+
+move_base keeps such a goal ACTIVE for ever, and one whose frame begins with a slash too (tf2 knows no such frame).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from bridge.messages.definition import PRIMITIVE_SIZES, Definition, FieldType, Schema, Shape
+from bridge.messages.errors import ConversionError
+
+TF_TYPES = ("tf2_msgs/TFMessage", "tf/tfMessage")
+
+MAX_FRAMES = 100_000
+
+_HEADER = "std_msgs/Header"
+_LENGTH = struct.Struct("<I")
+_SIZES = {**PRIMITIVE_SIZES, "time": 8, "duration": 8}
+
+
+class FrameId(NamedTuple):
+    """A header's frame in a message's bytes.
+
+    Attributes:
+        at: where its length stands.
+        where: the field, for people: ``target_pose.header.frame_id``.
+        pose: its header is that of a stamped geometry, which means nothing without a frame.
+    """
+
+    at: int
+    frame: bytes
+    where: str
+    pose: bool
+
+
+@dataclass(slots=True)
+class _Walk:
+    """A walk through a message's bytes by its definition."""
+
+    schema: Schema
+    data: bytes
+    at: int = 0
+
+    def skip(self, count: int) -> None:
+        self.at += count
+        if self.at > len(self.data):
+            msg = f"{self.schema.name} is cut short: {len(self.data)} bytes"
+            raise ConversionError(msg)
+
+    def count(self) -> int:
+        self.skip(4)
+        return int(_LENGTH.unpack_from(self.data, self.at - 4)[0])
+
+    def message(self, definition: Definition, path: str) -> Iterator[FrameId]:
+        for field in definition.fields:
+            yield from self.field(definition, field.type, f"{path}{field.name}")
+
+    def field(self, owner: Definition, kind: FieldType, path: str) -> Iterator[FrameId]:
+        count = 1
+        if kind.shape is Shape.ARRAY:
+            count = kind.length
+        elif kind.shape is Shape.SEQUENCE:
+            count = self.count()
+        if kind.base in _SIZES:
+            self.skip(count * _SIZES[kind.base])
+            return
+        for _ in range(count):
+            before = self.at
+            if kind.base == _HEADER:
+                self.skip(12)
+                at, length = self.at, self.count()
+                self.skip(length)
+                stamped = owner.package == "geometry_msgs" and owner.name.endswith("Stamped")
+                yield FrameId(at, self.data[at + 4 : self.at], f"{path}.frame_id", stamped)
+            elif kind.nested:
+                yield from self.message(self.schema.types[kind.base], f"{path}.")
+            else:
+                self.skip(self.count())
+            if self.at == before:  # a message without fields: any number of them is no byte
+                return
+
+
+def names_frames(schema: Schema) -> bool:
+    """Whether a message of this type has headers."""
+    return _HEADER in schema.types
+
+
+def frames_in(schema: Schema, data: bytes) -> list[FrameId]:
+    """The frames of all headers in a ROS 1 message, in their order; raises `ConversionError` for what is no such."""
+    walk = _Walk(schema, data)
+    found = list(walk.message(schema.root, ""))
+    if walk.at != len(data):
+        msg = f"{schema.name} has {len(data) - walk.at} bytes too many"
+        raise ConversionError(msg)
+    return found
+
+
+def without_slashes(data: bytes, frames: list[FrameId]) -> bytes:
+    """The same message with no slash at the beginning of a frame."""
+    for at, frame, *_ in reversed(frames):
+        plain = frame.lstrip(b"/")
+        if plain != frame:
+            data = data[:at] + _LENGTH.pack(len(plain)) + plain + data[at + 4 + len(frame) :]
+    return data
+
+
+def empty(schema: Schema) -> bytes:
+    """A ROS 1 message whose numbers are zero and whose strings and sequences are empty: all of its bytes are zero."""
+    return bytes(_empty_size(schema, schema.root))
+
+
+def _empty_size(schema: Schema, definition: Definition) -> int:
+    size = 0
+    for kind in (field.type for field in definition.fields):
+        if kind.shape is Shape.SEQUENCE:
+            size += 4
+            continue
+        nested = kind.base not in _SIZES and kind.nested
+        one = _empty_size(schema, schema.types[kind.base]) if nested else _SIZES.get(kind.base, 4)
+        size += one * (kind.length if kind.shape is Shape.ARRAY else 1)
+    return size
+
+
+class Frames:
+    """The frames that a side's transforms name."""
+
+    def __init__(self) -> None:
+        self._known: set[bytes] = set()
+
+    def learn(self, payload: bytes) -> None:
+        """Take up a TFMessage's frames; what is no TFMessage is left out."""
+        try:
+            self._known.update(_transform_frames(payload))
+        except struct.error:
+            return
+        if len(self._known) > MAX_FRAMES:
+            self._known.clear()
+
+    def trouble(self, frames: list[FrameId]) -> str:
+        """Why a goal in these frames could not be reached, "" where it could; without transforms nobody knows."""
+        if not self._known:
+            return ""
+        for _, frame, where, pose in frames:
+            if not frame and pose:
+                return f"{where} is empty"
+            if frame and frame not in self._known:
+                name = frame.decode(errors="replace")
+                return f"no transform on /tf or /tf_static names the frame {name!r} of {where}"
+        return ""
+
+
+def _transform_frames(payload: bytes) -> Iterator[bytes]:
+    """Both frames of each transform: Header, child_frame_id, then seven doubles."""
+    (count,) = _LENGTH.unpack_from(payload)
+    at = 4
+    for _ in range(count):
+        at += 12
+        for _ in range(2):
+            (length,) = _LENGTH.unpack_from(payload, at)
+            yield payload[at + 4 : at + 4 + length].lstrip(b"/")
+            at += 4 + length
+        at += 56

@@ -1,0 +1,125 @@
+"""One goal at an actionlib server, as ROS 2 sees it, and the shelf of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from bridge.adapters.ros1.actions.states import Ros2State
+from bridge.adapters.ros1.actions.wire import ZERO, GoalInfo, Stamp
+from bridge.hub.call import Done
+
+KEEP_SECONDS = 3600.0
+"""How long a result is kept after its goal's end."""
+
+MAX_ENDED = 10_000
+MAX_ENDED_BYTES = 64 << 20
+"""Ended goals, and bytes of their results, that are kept; the oldest go first."""
+
+MAX_OPEN = 10_000
+"""Goals of one action that have not ended; more are rejected."""
+
+
+@dataclass(eq=False, slots=True)
+class Goal:
+    """One goal.
+
+    Attributes:
+        body: what is still to be sent to the server, None once it was, and for goals of ROS 1 clients.
+        ours: a caller of this process sent it.
+        asker: the caller of send_goal who waits for acceptance.
+        waiting: the callers of get_result who wait for the end.
+        listed: the server's status list named it.
+        refused: it was rejected: on ROS 2 there never was such a goal.
+        result: its bytes, None until it has ended and its result came or is given up.
+        told: somebody has that result.
+        whole: the result came from the server.
+    """
+
+    uuid: bytes
+    id: str
+    since: float
+    body: bytes | None = None
+    ours: bool = False
+    asker: Done | None = None
+    waiting: list[Done] = field(default_factory=list)
+    stamp: Stamp = ZERO
+    state: Ros2State = Ros2State.UNKNOWN
+    listed: bool = False
+    refused: bool = False
+    result: bytes | None = None
+    told: bool = False
+    whole: bool = False
+
+    @property
+    def info(self) -> GoalInfo:
+        """Its UUID and the time of its acceptance."""
+        return GoalInfo(self.uuid, self.stamp)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the server took it."""
+        return self.state is not Ros2State.UNKNOWN and not self.refused
+
+
+class Shelf:
+    """All goals of one action by UUID and by ROS 1 id; ended ones for an hour, within bounds."""
+
+    def __init__(self) -> None:
+        self._by_uuid: dict[bytes, Goal] = {}
+        self._by_id: dict[str, Goal] = {}
+        self._open: dict[bytes, Goal] = {}
+        self._ended: dict[bytes, tuple[float, Goal]] = {}
+        self._bytes = 0
+
+    def add(self, goal: Goal) -> None:
+        """Take up a goal that has not ended."""
+        self._by_uuid[goal.uuid] = self._by_id[goal.id] = self._open[goal.uuid] = goal
+
+    def by_uuid(self, uuid: bytes) -> Goal | None:
+        """A goal by its UUID."""
+        return self._by_uuid.get(uuid)
+
+    def by_id(self, id_: str) -> Goal | None:
+        """A goal by its ROS 1 id."""
+        return self._by_id.get(id_)
+
+    def unfinished(self) -> list[Goal]:
+        """The goals that have not ended, in the order in which they came."""
+        return list(self._open.values())
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another goal."""
+        return len(self._open) >= MAX_OPEN
+
+    def end(self, goal: Goal, now: float) -> None:
+        """A goal has its result, or was refused."""
+        self._open.pop(goal.uuid, None)
+        self._ended[goal.uuid] = (now, goal)
+        self._bytes += len(goal.result or b"")
+
+    def forget(self, goal: Goal) -> None:
+        """Drop a goal: it was kept long enough, or a ROS 1 client uses its id again."""
+        if self._ended.pop(goal.uuid, None) is not None:
+            self._bytes -= len(goal.result or b"")
+        self._open.pop(goal.uuid, None)
+        del self._by_uuid[goal.uuid], self._by_id[goal.id]
+
+    def ended_since(self, time: float) -> Iterator[Goal]:
+        """The goals that ended after a time, the last first."""
+        for ended, goal in reversed(self._ended.values()):
+            if ended < time:
+                return
+            yield goal
+
+    def expire(self, now: float) -> None:
+        """Drop what was kept long enough, or is too much."""
+        for ended, goal in list(self._ended.values()):
+            crowded = len(self._ended) > MAX_ENDED or self._bytes > MAX_ENDED_BYTES
+            if ended > now - KEEP_SECONDS and not crowded:
+                return
+            self.forget(goal)
+
+    def __len__(self) -> int:
+        return len(self._by_uuid)

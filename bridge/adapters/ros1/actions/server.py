@@ -1,0 +1,365 @@
+"""The side of us that is an actionlib server: goals of actionlib clients go to an action that is served on the hub.
+
+Pure, as `bridge.adapters.ros1.actions.client` is. It behaves as actionlib's ``ActionServer`` does toward its clients
+(https://github.com/ros/actionlib, 1.14); in place of the user's callbacks it calls the hub's three services.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+from uuid import uuid4
+
+from bridge.adapters.ros1.actions import ids, wire
+from bridge.adapters.ros1.actions.states import TO_ROS1, CancelCode, Ros1State, Ros2State
+from bridge.adapters.ros1.actions.wire import ZERO, GoalId, GoalInfo, GoalStatus, Stamp
+from bridge.hub.call import CallError, Done
+from bridge.messages.errors import ConversionError
+
+_log = logging.getLogger(__name__)
+
+STATUS_SECONDS = 0.2
+"""actionlib's default ``actionlib_status_frequency`` is 5 Hz."""
+
+_TICK_SLACK = 0.05
+
+LIST_SECONDS = 5.0
+"""actionlib's default ``status_list_timeout``: an ended goal stays in the status list for so long."""
+
+RESULT_SECONDS = 60.0
+"""A result is sent once, and again to whoever connects to the result topic within this time."""
+
+MAX_RESULT_BYTES = 16 << 20
+"""Bytes of such results; the oldest go first."""
+
+MAX_GOALS = 10_000
+"""Entries of the status list; more goals are rejected."""
+
+CALM_SECONDS = 0.05
+FEW_GOALS = 32
+"""With more entries than these, the status list is published at most each `CALM_SECONDS`: it names all of them."""
+
+_CANCELED_EARLIER = "the goal's stamp is not after that of the last cancel request"
+_ANY = bytes(wire.UUID_SIZE)
+_CANCELING = {Ros1State.PENDING: Ros1State.RECALLING, Ros1State.ACTIVE: Ros1State.PREEMPTING}
+_STARTED = {Ros1State.PENDING: Ros1State.ACTIVE, Ros1State.RECALLING: Ros1State.PREEMPTING}
+
+
+class Outside(Protocol):
+    """What an `ActionServer` does in the world; nothing here waits.
+
+    The three calls go to the hub; ``done`` is called later, never from within the call.
+    """
+
+    def status(self, payload: bytes) -> None:
+        """Publish a GoalStatusArray."""
+
+    def feedback(self, payload: bytes) -> None:
+        """Publish an ActionFeedback."""
+
+    def result(self, goal: str, payload: bytes) -> None:
+        """Publish an ActionResult, and give it to all who connect later, until `forget`."""
+
+    def forget(self, goal: str) -> None:
+        """A goal's result need not be given any more."""
+
+    def send_goal(self, request: bytes, done: Done) -> None:
+        """Call send_goal."""
+
+    def get_result(self, request: bytes, done: Done) -> None:
+        """Call get_result."""
+
+    def cancel_goal(self, request: bytes, done: Done) -> None:
+        """Call cancel_goal."""
+
+
+@dataclass(eq=False, slots=True)
+class _Entry:
+    """One goal of the status list.
+
+    Attributes:
+        uuid: on the hub; None for a cancel request whose goal has not come.
+        ours: a ROS 1 client sent it; else it is a goal of the hub's, shown to ROS 1.
+        accepted: the hub's server took it.
+        gone: when it ended, None before.
+    """
+
+    id: str
+    stamp: Stamp
+    state: Ros1State
+    uuid: bytes | None
+    ours: bool
+    text: str = ""
+    accepted: bool = False
+    gone: float | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        """The entry as it stands in the status list."""
+        return GoalStatus(GoalId(self.stamp, self.id), self.state, self.text)
+
+
+class ActionServer:
+    """The goals of one action.
+
+    Args:
+        name: the action's name on ROS 1.
+        outside: where its messages and calls go.
+        clock: seconds that only grow.
+        now: the time that ROS 1 stamps with.
+        empty: the bytes of a result with nothing in it.
+    """
+
+    def __init__(
+        self, name: str, outside: Outside, clock: Callable[[], float], now: Callable[[], Stamp], empty: bytes
+    ) -> None:
+        self.name = name
+        self._outside, self._clock, self._now, self._empty = outside, clock, now, empty
+        self._entries: dict[str, _Entry] = {}
+        self._by_uuid: dict[bytes, _Entry] = {}
+        self._results: deque[tuple[float, str, int]] = deque()
+        self._result_bytes = 0
+        self._last_cancel = ZERO
+        self._seq = 0
+        self._generated = 0
+        self._published = float("-inf")
+        self._changed = True
+        self._closed = False
+
+    def open(self) -> None:
+        """Say that the server is there."""
+        self._flush()
+
+    # -- what ROS 1 clients say ----------------------------------------------------------------------------------------
+
+    def goal(self, goal: GoalId, body: bytes) -> None:
+        """A goal."""
+        if self._closed:
+            return
+        known = self._entries.get(goal.id) if goal.id else None
+        if known is not None:
+            self._again(known)
+        elif len(self._entries) >= MAX_GOALS:
+            _log.warning("%s: a goal is rejected: there are %d already", self.name, MAX_GOALS)
+            refused = _Entry(goal.id, goal.stamp, Ros1State.REJECTED, None, ours=True, text="too many goals")
+            self._publish_result(refused, self._empty)
+        else:
+            self._take(goal, body)
+        self._flush()
+
+    def _again(self, entry: _Entry) -> None:
+        """A goal whose id the list has already: ignored, unless a cancel request came before it."""
+        if entry.state is Ros1State.RECALLING and entry.uuid is None:
+            self._end(entry, Ros1State.RECALLED, self._empty, "")
+        elif entry.gone is not None:
+            entry.gone = self._clock()
+
+    def _take(self, goal: GoalId, body: bytes) -> None:
+        id_, stamp = goal.id or self._new_id(), goal.stamp if goal.stamp != ZERO else self._now()
+        entry = _Entry(id_, stamp, Ros1State.PENDING, uuid4().bytes, ours=True)
+        self._add(entry)
+        if goal.stamp != ZERO and goal.stamp <= self._last_cancel:
+            self._end(entry, Ros1State.RECALLED, self._empty, _CANCELED_EARLIER)
+            return
+        assert entry.uuid is not None
+        self._outside.send_goal(entry.uuid + body, lambda reply: self._answered(entry, reply))
+
+    def cancel(self, request: GoalId) -> None:
+        """A cancel request: empty is all goals, an id that one, a stamp all goals up to then."""
+        if self._closed:
+            return
+        everything = request == GoalId(ZERO, "")
+        if everything:
+            # One call that the server answers as a whole, so that goals of the hub's clients are cancelled too.
+            self._outside.cancel_goal(wire.cancel_request(GoalInfo(_ANY, ZERO)), self._cancel_answered)
+        for entry in list(self._entries.values()):
+            before = request.stamp != ZERO and entry.stamp <= request.stamp
+            if (everything or entry.id == request.id or before) and not entry.state.ended:
+                self._cancel(entry, told=everything)
+        if request.id and request.id not in self._entries and len(self._entries) < MAX_GOALS:
+            self._add(_Entry(request.id, request.stamp, Ros1State.RECALLING, None, ours=True, gone=self._clock()))
+        self._last_cancel = max(self._last_cancel, request.stamp)
+        self._flush()
+
+    def _cancel(self, entry: _Entry, *, told: bool) -> None:
+        state = _CANCELING.get(entry.state)
+        if state is None:
+            return
+        self._set(entry, state)
+        if not told and entry.accepted:
+            self._send_cancel(entry)
+
+    def _send_cancel(self, entry: _Entry) -> None:
+        assert entry.uuid is not None
+        self._outside.cancel_goal(wire.cancel_request(GoalInfo(entry.uuid, ZERO)), self._cancel_answered)
+
+    def _cancel_answered(self, reply: bytes | CallError) -> None:
+        """ROS 1's clients hear nothing of it: a goal that cannot be cancelled ends in another state."""
+        why = str(reply)
+        if isinstance(reply, bytes):
+            try:
+                code, _ = wire.read_cancel_response(reply)
+            except ConversionError as err:
+                why = str(err)
+            else:
+                if code != CancelCode.REJECTED:
+                    return
+                why = "the action server rejected it"
+        _log.warning("%s: a cancel request had no effect: %s", self.name, why)
+
+    # -- what the hub's server says ------------------------------------------------------------------------------------
+
+    def _answered(self, entry: _Entry, reply: bytes | CallError) -> None:
+        """send_goal has ended."""
+        if entry.state.ended or entry.uuid is None:
+            return
+        accepted = False
+        why = reply
+        if isinstance(reply, bytes):
+            try:
+                accepted = wire.read_goal_response(reply)
+            except ConversionError as err:
+                why = CallError(str(err))
+        if accepted:
+            entry.accepted = True
+            if entry.state is not Ros1State.PENDING and entry.state is not Ros1State.ACTIVE:
+                self._send_cancel(entry)
+            self._outside.get_result(entry.uuid, lambda result: self._ended(entry, result))
+        elif isinstance(why, CallError):
+            self._end(entry, Ros1State.ABORTED, self._empty, str(why))
+        else:
+            self._end(entry, Ros1State.REJECTED, self._empty, "the action server rejected the goal")
+        self._flush()
+
+    def _ended(self, entry: _Entry, reply: bytes | CallError) -> None:
+        """get_result has ended."""
+        if entry.state.ended:
+            return
+        state, body, text = Ros2State.ABORTED, self._empty, ""
+        try:
+            if isinstance(reply, CallError):
+                text = str(reply)
+            else:
+                number, body = wire.read_result_response(reply)
+                state = Ros2State.parse(number)
+        except ConversionError as err:
+            text = str(err)
+        if not text and not state.ended:
+            state, text = Ros2State.ABORTED, "the action server does not know the goal any more"
+        self._end(entry, self._final(entry, state), body, text)
+        self._flush()
+
+    @staticmethod
+    def _final(entry: _Entry, state: Ros2State) -> Ros1State:
+        if state is Ros2State.CANCELED and entry.state in _STARTED:
+            return Ros1State.RECALLED
+        return TO_ROS1[state]
+
+    def states(self, found: list[tuple[GoalInfo, int]]) -> None:
+        """The hub server's status topic."""
+        if self._closed:
+            return
+        for info, number in found:
+            self._follow(info, Ros2State.parse(number))
+        named = {info.uuid for info, _ in found}
+        for entry in [e for e in self._by_uuid.values() if not e.ours and not e.state.ended and e.uuid not in named]:
+            self._set(entry, Ros1State.ABORTED, "the action server does not know the goal any more")
+            entry.gone = self._clock()
+        self._flush()
+
+    def _follow(self, info: GoalInfo, state: Ros2State) -> None:
+        entry = self._by_uuid.get(info.uuid)
+        if entry is None and not state.ended and len(self._entries) < MAX_GOALS:
+            entry = _Entry(ids.text_of(info.uuid), info.stamp, Ros1State.PENDING, info.uuid, ours=False, accepted=True)
+            self._add(entry)
+        if entry is None or entry.state.ended:
+            return
+        if state is Ros2State.EXECUTING and entry.state in _STARTED:
+            self._set(entry, _STARTED[entry.state])
+        elif state is Ros2State.CANCELING and entry.state in _CANCELING:
+            self._set(entry, _CANCELING[entry.state])
+        elif state.ended and not entry.ours:  # of ours get_result tells
+            self._set(entry, self._final(entry, state))
+            entry.gone = self._clock()
+
+    def feedback(self, uuid: bytes, body: bytes) -> None:
+        """The hub server's feedback topic."""
+        entry = self._by_uuid.get(uuid)
+        if self._closed or entry is None or entry.state.ended:
+            return
+        if entry.state in _STARTED:
+            self._set(entry, _STARTED[entry.state])
+        self._seq += 1
+        self._outside.feedback(wire.action_outcome(self._seq, self._now(), entry.status, body))
+        self._flush()
+
+    def close(self, reason: str) -> None:
+        """The hub's server is gone: every goal of a ROS 1 client ends."""
+        for entry in list(self._entries.values()):
+            if not entry.state.ended and entry.uuid is not None:
+                self._end(entry, Ros1State.ABORTED, self._empty, reason)
+        self._published = float("-inf")
+        self._flush()
+        self._closed = True
+
+    # -- the list ------------------------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Time has passed; called some ten times a second."""
+        now = self._clock()
+        for entry in [e for e in self._entries.values() if e.gone is not None and e.gone <= now - LIST_SECONDS]:
+            del self._entries[entry.id]
+            self._by_uuid.pop(entry.uuid or b"", None)
+            self._changed = True
+        while self._results and self._results[0][0] <= now - RESULT_SECONDS:
+            self._forget_result()
+        if self._entries and now >= self._published + STATUS_SECONDS - _TICK_SLACK:
+            self._changed = True
+        self._flush()
+
+    def _new_id(self) -> str:
+        self._generated += 1
+        secs, nsecs = self._now()
+        return f"{self.name}-{self._generated}-{secs}.{nsecs:09}"
+
+    def _add(self, entry: _Entry) -> None:
+        self._entries[entry.id] = entry
+        if entry.uuid is not None:
+            self._by_uuid[entry.uuid] = entry
+        self._changed = True
+
+    def _set(self, entry: _Entry, state: Ros1State, text: str = "") -> None:
+        entry.state, entry.text = state, text
+        self._changed = True
+
+    def _end(self, entry: _Entry, state: Ros1State, body: bytes, text: str) -> None:
+        self._set(entry, state, text)
+        entry.gone = self._clock()
+        if entry.ours:
+            self._publish_result(entry, body)
+
+    def _publish_result(self, entry: _Entry, body: bytes) -> None:
+        self._seq += 1
+        payload = wire.action_outcome(self._seq, self._now(), entry.status, body)
+        self._outside.result(entry.id, payload)
+        self._results.append((self._clock(), entry.id, len(payload)))
+        self._result_bytes += len(payload)
+        while len(self._results) > MAX_GOALS or self._result_bytes > MAX_RESULT_BYTES:
+            self._forget_result()
+
+    def _forget_result(self) -> None:
+        _, goal, size = self._results.popleft()
+        self._result_bytes -= size
+        self._outside.forget(goal)
+
+    def _flush(self) -> None:
+        """Publish the list where it has changed."""
+        now = self._clock()
+        if not self._changed or (len(self._entries) > FEW_GOALS and now < self._published + CALM_SECONDS):
+            return
+        self._changed, self._published = False, now
+        self._seq += 1
+        self._outside.status(wire.statuses(self._seq, self._now(), [e.status for e in self._entries.values()]))
