@@ -1,4 +1,4 @@
-"""Our side as an actionlib client: pure, against a model of an actionlib server whose three topics come in any order."""
+"""Our side as an actionlib client: pure, against a model of an actionlib server whose topics come in any order."""
 
 import random
 from uuid import UUID
@@ -16,12 +16,13 @@ from bridge.hub.call import CallError
 
 EMPTY = b"\0\0\0\0"
 ANY = bytes(16)
+AT = Stamp(5, 0)
 
 
 class World:
     """What an `ActionClient` did, and a clock."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.goals, self.cancels, self.states, self.feedbacks = [], [], [], []
         self.now = 100.0
         self.client = ActionClient("/act", self, lambda: self.now, EMPTY)
@@ -60,7 +61,7 @@ class World:
 
     # -- the server
 
-    def says(self, *statuses):
+    def says(self, *statuses: tuple):
         self.client.statuses([status(*s) for s in statuses])
 
     def ends(self, number, state, body=b"result", text=""):
@@ -79,7 +80,7 @@ def name(number):
     return ids.text_of(uuid(number)) if isinstance(number, int) else number
 
 
-def status(number, state, stamp=Stamp(5, 0), text=""):
+def status(number, state, stamp=AT, text=""):
     return GoalStatus(GoalId(stamp, name(number)), state, text)
 
 
@@ -297,7 +298,8 @@ def test_a_new_goal_pre_empts_the_old_one(world):
     world.says((1, Ros1State.ACTIVE), (2, Ros1State.PENDING))
     world.ends(1, Ros1State.PREEMPTED, text="another goal was received")
     world.says((1, Ros1State.PREEMPTED), (2, Ros1State.ACTIVE))
-    assert accepted(first) and accepted(second)
+    assert accepted(first)
+    assert accepted(second)
     assert result(asked)[0] is Ros2State.CANCELED
     assert world.states[-1] == {uuid(1): Ros2State.CANCELED, uuid(2): Ros2State.EXECUTING}
 
@@ -460,7 +462,7 @@ def test_every_goal_ends_in_the_state_that_its_server_gave(seed: int, count: int
     assert len(world.feedbacks) <= sum(1 for _ in steps)
 
 
-def _next(rng, state):
+def _next(rng, state) -> Ros1State:
     follows = {
         Ros1State.PENDING: [Ros1State.ACTIVE, Ros1State.ACTIVE, Ros1State.REJECTED, Ros1State.RECALLING],
         Ros1State.RECALLING: [Ros1State.RECALLED, Ros1State.PREEMPTING],

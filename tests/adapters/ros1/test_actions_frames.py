@@ -89,7 +89,7 @@ def test_an_empty_message():
     assert empty(schema("time t\nduration[2] d\nbool b\nstring s\n")) == bytes(8 + 16 + 1 + 4)
 
 
-def transforms(*pairs):
+def transforms(*pairs: tuple):
     parts = [header(parent) + string(child) + bytes(56) for parent, child in pairs]
     return struct.pack("<I", len(parts)) + b"".join(parts)
 

@@ -14,12 +14,13 @@ from bridge.hub.call import CallError
 
 EMPTY = b"\0\0"
 ANY = bytes(16)
+ASKED, TAKEN = Stamp(50, 0), Stamp(60, 0)
 
 
 class World:
     """What an `ActionServer` did, and a clock."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.lists, self.feedbacks, self.results, self.forgotten = [], [], [], []
         self.sent, self.asked, self.cancels = [], {}, []
         self.now = 100.0
@@ -51,7 +52,7 @@ class World:
 
     # -- what the sides do
 
-    def goal(self, id_="g", stamp=Stamp(50, 0), body=b"body"):
+    def goal(self, id_="g", stamp=ASKED, body=b"body"):
         before = len(self.sent)
         self.server.goal(GoalId(stamp, id_), body)
         return self.sent[-1][0] if len(self.sent) > before else None
@@ -60,7 +61,7 @@ class World:
         done = next(done for u, _, done in self.sent if u == uuid)
         done(wire.goal_response(Stamp(60, 0), accepted=accepted))
 
-    def running(self, id_="g", stamp=Stamp(50, 0)):
+    def running(self, id_="g", stamp=ASKED):
         uuid = self.goal(id_, stamp)
         self.answer(uuid)
         self.says({uuid: Ros2State.EXECUTING})
@@ -69,7 +70,7 @@ class World:
     def ends(self, uuid, state, body=b"result"):
         self.asked[uuid](wire.result_response(state, body))
 
-    def says(self, states, stamp=Stamp(60, 0)):
+    def says(self, states, stamp=TAKEN):
         self.server.states([(GoalInfo(u, stamp), s) for u, s in states.items()])
 
     def state(self, id_="g"):
@@ -263,7 +264,8 @@ def test_results_are_given_to_who_comes_soon_after(world, monkeypatch):
 
 def test_too_many_goals_are_rejected(world, monkeypatch):
     monkeypatch.setattr(server, "MAX_GOALS", 2)
-    assert world.goal("a") and world.goal("b")
+    assert world.goal("a")
+    assert world.goal("b")
     assert world.goal("c") is None
     assert world.results == [("c", Ros1State.REJECTED, EMPTY, "too many goals")]
     world.server.cancel(GoalId(ZERO, "unknown"))
