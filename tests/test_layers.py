@@ -14,10 +14,10 @@ BELOW = {
     "config": set[str](),
     "messages": set[str](),
     "interfaces": {"config", "messages"},
-    "hub": {"config", "messages", "worker"},
-    "routing": {"config", "messages", "hub", "adapters.base"},
-    "modules": {"config", "messages", "hub", "routing.counters", "backoff", "worker"},
-    "adapters": {"config", "messages", "interfaces", "hub", "routing", "worker"},
+    "hub": {"clock", "config", "messages", "worker"},
+    "routing": {"clock", "config", "messages", "hub", "adapters.base"},
+    "modules": {"clock", "config", "messages", "hub", "routing.counters", "backoff", "worker"},
+    "adapters": {"clock", "config", "messages", "interfaces", "hub", "routing", "worker"},
     "daemon": {"config", "messages", "interfaces", "hub", "routing", "adapters", "backoff", "worker"},
 }
 """What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar, Protocol
 
+from bridge.clock import SYSTEM, RunClock
 from bridge.hub.call import Abandon, Call, Done
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
@@ -150,6 +151,11 @@ class Edge(ABC):
     """One side's edge. Methods may be called from any thread after `start`; none of them blocks on a peer."""
 
     side: ClassVar[str]
+    services: ClassVar[bool] = False
+    """Whether services and actions cross; otherwise nothing is said of them."""
+
+    clock: RunClock = SYSTEM
+    """What stamps are made by; the worker gives it before `start`."""
 
     @abstractmethod
     def start(self, listener: EdgeListener) -> None:

@@ -11,9 +11,11 @@ from typing import Any
 import psutil
 
 from bridge.adapters.base import Edge
+from bridge.clock import RunClock
 from bridge.config.model import Config
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.state import state_folder
+from bridge.hub.clock import follow
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
@@ -68,6 +70,8 @@ class Crossing:
                 max_payload=config.limits.message_bytes,
             )
         )
+        edge.clock = RunClock(simulated=config.clock.simulated)
+        follow(edge.clock, self._hub)
         self._engine: Engine | None = Engine(edge, self._hub, config.routing, config.name, failed)
         self._engine.start()
         verbs = {"status": self._status, "explain": self._explain, "tap": self._tap, "time": self._time}

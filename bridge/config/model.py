@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from bridge.config.sections.clock import ClockSection
 from bridge.config.sections.hub import HubSection
 from bridge.config.sections.modules import ModulesSection
 from bridge.config.sections.ros1 import Ros1Section
@@ -74,6 +75,7 @@ class Config(Section):
     )
     yarp: YarpSection = Field(default_factory=YarpSection, description="The YARP side.")
     modules: ModulesSection = Field(default_factory=ModulesSection, description="The modules that Midspan hosts.")
+    clock: ClockSection = Field(default_factory=ClockSection, description="The time scale of this run.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
     routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
     limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")

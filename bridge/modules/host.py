@@ -7,11 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from bridge.clock import RunClock
 from bridge.config.model import Config
 from bridge.config.state import worker_folder
+from bridge.hub.clock import follow
 from bridge.hub.session import Hub, HubSettings
 from bridge.messages.registry import Registry
-from bridge.modules.loop import Loop
+from bridge.modules.loop import ClockTimer, Loop, Timer
 from bridge.modules.node import Node
 from bridge.modules.ports import Ports
 
@@ -24,6 +26,7 @@ class Host:
         loop: the module's thread.
         node: its node on the hub.
         yarp: its YARP ports.
+        clock: the time of its stamps.
         log: its logger.
     """
 
@@ -46,6 +49,8 @@ class Host:
         )
         self.node = Node(hub, registry, self.loop)
         self.yarp = Ports(config)
+        self.clock = RunClock(simulated=config.clock.simulated)
+        follow(self.clock, hub)
 
     @property
     def folder(self) -> Path:
@@ -53,6 +58,18 @@ class Host:
         folder = worker_folder(self.config) / self.name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
+        """Run an action every so many seconds of the run's clock, on the module's thread."""
+        return (
+            ClockTimer(self.clock, self.loop, seconds, action)
+            if self.clock.simulated
+            else self.loop.every(seconds, action)
+        )
+
+    def on_jump(self, forget: Callable[[], Any]) -> None:
+        """Have the module forget what depends on time when the clock is set back, on the module's thread."""
+        self.clock.on_jump(lambda: self.loop.post(forget))
 
     def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
         """Answer a verb of the control plane under the module's name, on a thread of the hub."""

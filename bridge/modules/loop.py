@@ -11,6 +11,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from bridge.clock import RunClock
+
 _log = logging.getLogger(__name__)
 _ANSWER_SECONDS = 5.0
 
@@ -152,3 +154,32 @@ class Timer:
     def close(self) -> None:
         """Run it no more."""
         self.closed = True
+
+
+class ClockTimer:
+    """An action every so many seconds of a simulated clock. Times that were missed are left out; see `Loop.every`."""
+
+    def __init__(self, clock: RunClock, loop: Loop, seconds: float, action: Action) -> None:
+        self._period = round(seconds * 1e9)
+        self._loop, self._action = loop, action
+        self._due: int | None = None
+        self._last = 0
+        self.closed = False
+        self._withdraw = clock.on_time(self._heard)
+
+    def close(self) -> None:
+        """Run it no more."""
+        self.closed = True
+        self._withdraw()
+
+    def _heard(self, now: int) -> None:
+        if self._due is None or now < self._last:
+            self._due = now + self._period
+        self._last = now
+        if now >= self._due:
+            self._due += (now - self._due) // self._period * self._period + self._period
+            self._loop.post(self._run)
+
+    def _run(self) -> None:
+        if not self.closed:
+            self._action()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -168,9 +167,3 @@ class Node:
         ends, self._ends = self._ends, []
         for end in ends:
             end.close()
-
-
-def stamp_now() -> dict[str, int]:
-    """The system's time as ``builtin_interfaces/msg/Time``."""
-    seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
-    return {"sec": seconds, "nanosec": nanoseconds}

@@ -77,7 +77,7 @@ class Diagnostics:
         worker = self._status(
             "worker", _OK, f"{summary.routes} routes, {summary.rate:.0f} msg/s", {"network": summary.network}
         )
-        stamp = _HEADER.pack(0, *divmod(time.time_ns(), 1_000_000_000))
+        stamp = _HEADER.pack(0, *divmod(self._edge.clock.now_ns(), 1_000_000_000))
         return b"".join([stamp, _text(""), _COUNT.pack(1 + len(routes)), worker, *map(self._route, routes)])
 
     def _whose_turn(self) -> list[Route]:

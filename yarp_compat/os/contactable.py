@@ -8,7 +8,7 @@ import os
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 from yarp_compat.naming.errors import NamingError
 from yarp_compat.os.contact import Contact
@@ -33,6 +33,9 @@ _WORDS = {
 
 class Contactable:
     """A port of any kind. Methods return False where YARP's do, and log why."""
+
+    _ANSWERS: ClassVar[bool] = False
+    """Whether those who write to it may get answers."""
 
     def __init__(self) -> None:
         self._core: PortCore | None = None
@@ -115,6 +118,7 @@ class Contactable:
             name, on_message=_weakly(self._take), naming=naming, rpc=self._rpc, type_name=self._type,
             host=contact.getHost() or None, number=max(contact.getPort(), 0), profile=RUNTIME.profile,
             is_input=self._is_input is not False, is_output=self._is_output is not False, on_event=_weakly(self._tell),
+            replies=self._ANSWERS,
         )  # fmt: skip
         self._interrupted = False
         self._core = core

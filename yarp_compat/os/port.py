@@ -24,6 +24,8 @@ class Port(Contactable):
     ROS message...
     """
 
+    _ANSWERS = True
+
     def __init__(self) -> None:
         super().__init__()
         self._handoff = Handoff()

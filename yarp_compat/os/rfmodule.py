@@ -6,10 +6,10 @@ import logging
 import signal
 import sys
 import threading
-import time
 from types import FrameType
 from typing import Any
 
+from yarp_compat.os import time as clock
 from yarp_compat.os.bottle import Bottle
 from yarp_compat.os.connection import ConnectionReader, PortReader
 from yarp_compat.os.resource_finder import ResourceFinder
@@ -182,12 +182,12 @@ class RFModule:
 
     def _loop(self) -> None:
         while not self.isStopping():
-            began = time.monotonic()
+            began = clock.steady()
             if not self.updateModule():
                 return
-            rest = self.getPeriod() - (time.monotonic() - began)
+            passed = max(clock.steady() - began, 0.0)  # a network clock may have been set back
             # Waiting on the event, a module of a long period stops at once.
-            self._stop.wait(max(rest, 0))
+            clock.wait(self._stop, self.getPeriod() - passed)
 
     def _basic_respond(self, command: Bottle, reply: Bottle) -> bool:
         if command.get(0).toString().strip("[]") in _QUIT:

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.naming import Naming
 from yarp_compat.os.log import print_as_yarp
-from yarp_compat.os.time import warn_of_network_clock
+from yarp_compat.os.time import use_the_asked_clock, useSystemClock
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire.contact import Contact
 from yarp_compat.wire.profile import Profile
@@ -70,8 +70,8 @@ class Runtime:
             self._users += 1
             if self._users == 1:
                 print_as_yarp()
-                warn_of_network_clock()
                 atexit.register(self.close_all)
+                use_the_asked_clock()
 
     def fini(self) -> None:
         """Stop using it; the last one closes all ports that are open."""
@@ -80,6 +80,7 @@ class Runtime:
             if self._users:
                 return
             atexit.unregister(self.close_all)
+        useSystemClock()
         self.close_all()
         self._client = None
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-import time as clock
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, ClassVar
 
+from yarp_compat.os.time import now
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.tags import INT32
@@ -52,7 +52,7 @@ class Stamp(Portable):
     def update(self, time: float | None = None) -> None:
         """Take the next number, and a time or the time now."""
         self._count = self._count + 1 if -1 <= self._count < _LARGEST else 0
-        self._time = clock.time() if time is None else time
+        self._time = now() if time is None else time
 
     def to_text(self) -> str:
         """The envelope's text: ``5 123.5``, 15 digits for the time."""

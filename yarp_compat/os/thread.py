@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-import time
+
+from yarp_compat.os import time as clock
 
 
 class Thread:
@@ -136,10 +137,11 @@ class PeriodicThread(Thread):
         self.run()
 
     def _work(self) -> None:
-        due = time.monotonic()
+        due = clock.steady()
         while not self.isStopping():
             if not self._suspended:
                 self.run()
                 self._rounds += 1
-            due = max(due + self._period, time.monotonic() - self._period)
-            self._stopping.wait(max(0.0, due - time.monotonic()))
+            now = clock.steady()
+            due = min(max(due + self._period, now - self._period), now + self._period)
+            clock.wait(self._stopping, due - now)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from bridge.config.sections.yarp import Topic, YarpSection
@@ -35,7 +36,13 @@ class ForeignPort:
 
 
 class Contents:
-    """The rules, by topic and port; and the converters that they need."""
+    """The rules, by topic and port; and the converters that they need.
+
+    Attributes:
+        now_ns: the time of messages that come without one.
+    """
+
+    now_ns: Callable[[], int] = staticmethod(time.time_ns)
 
     def __init__(self, section: YarpSection, registry: Registry) -> None:
         self.profile = Profile(section.profile)
@@ -79,5 +86,6 @@ class Contents:
                 known = Content(content.form, content.fields, profile, content.missing).codec(
                     self._registry, type_name, type_hash
                 )
+                known.now_ns = self.now_ns
                 self._codecs[key] = known
             return known

@@ -100,6 +100,7 @@ class YarpEdge(Edge):
     def start(self, listener: EdgeListener) -> None:
         """Join the network when its name server answers."""
         self._listener = listener
+        self._contents.now_ns = self.clock.now_ns
         self._clerk.start()
 
     def stop(self) -> None:

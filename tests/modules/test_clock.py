@@ -1,0 +1,80 @@
+"""The clock of a module: the system's, or a simulation's on the hub, on which its timers run."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any, ClassVar
+
+import pytest
+
+from bridge.clock import RunClock
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from tests.modules.test_worker import Place, place  # noqa: F401 - a fixture
+from tests.support.wait import until
+
+CLOCK = "rosgraph_msgs/Clock"
+
+
+class Ticking(Module):
+    """Counts the seconds of its clock."""
+
+    name = "ticking"
+    seen: ClassVar[list[str]] = []
+    host: ClassVar[Host]
+
+    def start(self, host: Host, section: Any) -> None:  # noqa: ARG002
+        type(self).host = host
+        self.seen.clear()
+        host.every(1.0, lambda: self.seen.append(str(host.clock.now_ns() // 1_000_000_000)))
+        host.on_jump(lambda: self.seen.append("back"))
+
+
+def config(place: Place, source: str) -> Any:  # noqa: F811
+    own = {"name": "ticking", "factory": "tests.modules.test_clock:Ticking"}
+    return place.config(own, clock={"source": source})
+
+
+def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa: F811
+    place.worker.start(config(place, "sim"))
+    out = place.far.advertise("/clock", CLOCK)
+
+    def say(seconds: float) -> None:
+        sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
+        place.far.publish(out, {"clock": {"sec": sec, "nanosec": nanosec}})
+
+    until(lambda: (say(10.5), place.worker.health(), Ticking.host.clock.now_ns() > 0)[2], "the clock is heard", 20)
+    for second in (11, 12, 13):
+        for tenth in range(6, 16):
+            say(second - 1 + tenth / 10)
+        until(lambda s=second: Ticking.seen[-1:] == [str(s)], "a second")
+    assert Ticking.seen == ["11", "12", "13"]
+    say(2.0)
+    until(lambda: "back" in Ticking.seen, "the jump is told")
+    say(3.0)
+    until(lambda: Ticking.seen[-1:] == ["3"], "it goes on")
+
+
+def test_the_systems_clock_needs_no_simulation(place: Place) -> None:  # noqa: F811
+    place.worker.start(config(place, "system"))
+    until(lambda: Ticking.seen, "a second")
+    assert abs(int(Ticking.seen[0]) - time.time()) < 5
+
+
+def test_a_clock_tells_only_a_jump_back(caplog: pytest.LogCaptureFixture) -> None:
+    clock, jumps = RunClock(simulated=True), threading.Semaphore(0)
+    withdraw = clock.on_jump(jumps.release)
+    assert clock.now_ns() == 0
+    for seconds in (5, 5, 100):
+        clock.hear(bytes([0, 1, 0, 0]) + seconds.to_bytes(4, "little") + bytes(4))
+    assert not jumps.acquire(blocking=False)
+    clock.hear(bytes([0, 1, 0, 0]) + bytes(8))
+    assert jumps.acquire(blocking=False)
+    assert "set back" in caplog.text
+    withdraw()
+    clock.hear(bytes(3))  # none
+    assert clock.stamp() == {"sec": 0, "nanosec": 0}
+    system = RunClock()
+    system.hear(bytes([0, 1, 0, 0]) + bytes(8))
+    assert abs(system.now_ns() - time.time_ns()) < 5e9
