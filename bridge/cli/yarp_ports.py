@@ -8,6 +8,7 @@ import queue
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from bridge.cli.errors import CliError
@@ -63,7 +64,7 @@ def register(verbs: Any) -> None:
         )
     for parser in (read, write):
         parser.add_argument(
-            "--yarp4", action="store_true", help="write as YARP 4 (default: 3); what is read is recognised"
+            "--yarp4", action="store_true", help="write as YARP 4 to who does not tell which it is (default: 3)"
         )
         add_server_arguments(parser)
     add_server_arguments(rpc, _RPC_TIMEOUT)
@@ -130,7 +131,7 @@ def _write(args: argparse.Namespace) -> int:
         if args.wait:
             _await_reader(port)
         for line in _lines(args):
-            reached = port.write(encode(_values(line), _profile(args)), wait=True, timeout=args.timeout)
+            reached = port.write(partial(encode, _values(line)), wait=True, timeout=args.timeout)
             if not reached and not args.targets:
                 print("nobody is connected: not sent", file=sys.stderr)
             elif reached < len(args.targets):

@@ -63,11 +63,13 @@ class Owner:
 
     def __init__(self, name: str, server: NameServer) -> None:
         self.came: list[list[object]] = []
+        self.bytes: list[bytes] = []
         self.port = PortCore(name, on_message=self._take, naming=NameClient(server.address))
         self.port.open()
 
     def _take(self, message: Message) -> None:
         values = decode(message.payload)
+        self.bytes.append(bytes(message.payload))
         self.came.append(values)
         message.reply(encode(["got", *values], Profile.YARP3))
 
@@ -172,9 +174,12 @@ def test_clean(yarp: Yarp, server: NameServer, owners: Callable[[str], Owner]) -
 def test_writing(yarp: Yarp, owners: Callable[[str], Owner], monkeypatch: pytest.MonkeyPatch) -> None:
     """From --message and from the standard input, to one and to several."""
     one, two = owners("/one"), owners("/two")
+    two.port.profile = Profile.YARP4
     assert yarp("write", "/w", "/one", "fast_tcp://two", "-m", "set speed 0.5", "-m", '(a b) "c d"').code == 0
     assert one.came == [["set", "speed", 0.5], [["a", "b"], "c d"]]
     until(lambda: two.came == one.came, "both have them")
+    assert one.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP3)
+    assert two.bytes[0] == encode(["set", "speed", 0.5], Profile.YARP4)
     monkeypatch.setattr(sys, "stdin", io.StringIO("1 2\n\n3\n"))
     assert yarp("write", "...", "/one", "--yarp4").code == 0
     assert one.came[2:] == [[1, 2], [3]]
