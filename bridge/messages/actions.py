@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from bridge.messages.conversion import SideType
 from bridge.messages.definition import Definition, Schema, World
 from bridge.messages.derive import derive_ros1, derive_ros2
+from bridge.messages.errors import MessageTypeError
 from bridge.messages.hashes import md5_sum, rihs01
 from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
@@ -114,6 +115,9 @@ class Actions:
         root = self._ros2.find(name, type_hash)
         if root is None:
             return self._derived(name, type_hash)
+        if f"{action}_{content}" not in root.types:
+            msg = f"the definition told of {name} has no {content.lower()} in it"
+            raise MessageTypeError(msg)
         ros1_action = self.ros1_name(action)
         two = root.sub(f"{action}_{content}")
         one = self._ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(

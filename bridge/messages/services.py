@@ -54,7 +54,10 @@ def ros1_service(name: str, request: Schema, response: Schema) -> Service:
 
 
 def ros2_service(root: Schema) -> Service:
-    """The service of ROS 2 that a schema describes."""
+    """The service of ROS 2 that a schema describes; raises `MessageTypeError` where it describes none."""
+    if any(f"{root.name}_{part}" not in root.types for part in CONTENTS["srv"]):
+        msg = f"the definition told of {root.name} is not that of a service"
+        raise MessageTypeError(msg)
     request, response = (root.sub(f"{root.name}_{part}") for part in CONTENTS["srv"])
     return Service(root.name, rihs01(root), request, response)
 

@@ -190,10 +190,12 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Source]
     """
     python = [packages] if packages is not None else _ros1_python_folders()
     shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
+    own = Path(__file__).parent / "definitions"
     return [
         *(Tree(folder, World.ROS1) for folder in folders),
         *(Genpy(folder) for folder in python if folder.is_dir()),
         *(Tree(folder, World.ROS1) for folder in shares if folder.is_dir()),
+        Tree(own, World.ROS1),
         Store(World.ROS1),
     ]
 

@@ -217,6 +217,15 @@ def test_the_topics_of_an_action(registry: Registry):
     ]
 
 
+def test_move_base_is_known_where_ros1_is_not_installed(registry: Registry):
+    bare = Registry(ros1_packages=Path("/nonexistent"))
+    topics = bare.ros1_action("move_base_msgs/MoveBase")
+    assert {part: getattr(topics, part).type_id for part in GOAL_MD5} == GOAL_MD5
+    assert bare.action_to_ros1("nav2_msgs/action/NavigateToPose") == "move_base_msgs/MoveBase"
+    there = bare.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal")
+    assert there.hub == registry.service_hub_to_ros1("nav2_msgs/action/NavigateToPose_SendGoal").hub
+
+
 def test_cancelling_and_status_are_those_of_action_msgs(registry: Registry):
     cancel = registry.service_hub_to_ros1("action_msgs/srv/CancelGoal")
     assert (cancel.side.name, cancel.hub.name) == ("action_msgs/srv/CancelGoal",) * 2

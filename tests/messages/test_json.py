@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.messages.errors import ConversionError, MessageTypeError
-from bridge.messages.json import from_json, to_json
+from bridge.messages.json import CallCodec, from_json, to_json
 from bridge.messages.registry import Registry
 from tests.messages.samples import sample, standard_pairs
 
@@ -101,3 +101,18 @@ def test_bad_bytes_are_refused(registry: Registry):
 def test_slack_of_rclpy_is_no_trouble(registry: Registry):
     cdr = from_json(registry, "std_msgs/msg/Bool", {"data": True})
     assert to_json(registry, "std_msgs/msg/Bool", cdr + b"\xff\xff\xff") == {"data": True}
+
+
+def test_calls_go_there_and_back(registry: Registry):
+    codec = CallCodec(registry, "nav_msgs/srv/LoadMap", registry.service_ros2("nav_msgs/srv/LoadMap").type_id)
+    assert codec.request_value(codec.request({"map_url": "file:///a"})) == {"map_url": "file:///a"}
+    values = codec.response_value(codec.response({"result": 3, "map": {"data": [1, -1]}}))
+    assert (values["result"], values["map"]["data"]) == (3, [1, -1])
+    with pytest.raises(ConversionError, match=r"nav_msgs/srv/LoadMap_Request has no field 'mapurl'; did you mean"):
+        codec.request({"mapurl": ""})
+    with pytest.raises(ConversionError):
+        codec.response_value(codec.request({"map_url": "file:///a"}))
+    goal = CallCodec(registry, "nav2_msgs/action/Spin_SendGoal")
+    uuid = base64.b64encode(bytes(range(16))).decode()
+    sent = goal.request_value(goal.request({"goal_id": {"uuid": uuid}, "goal": {"target_yaw": 1.5}}))
+    assert (sent["goal_id"]["uuid"], sent["goal"]["target_yaw"]) == (uuid, 1.5)

@@ -62,6 +62,15 @@ def test_pairs_hold_both_ways(name: str, registry: Registry):
     assert registry.service_ros2(there.hub.name, there.hub.type_id) == there.hub
 
 
+@needs_genpy
+def test_standard_services_are_known_where_ros1_is_not_installed(registry: Registry):
+    bare = Registry(ros1_packages=Path("/nonexistent"))
+    known = [name for name in ROS1 if not name.startswith("roscpp/")]
+    assert len(known) > 15
+    for name in known:
+        assert bare.service_ros1_to_hub(name).side.type_id == registry.service_ros1_to_hub(name).side.type_id, name
+
+
 def test_hashes_are_those_of_rclpys_type_support(registry: Registry):
     names = ros2_services()
     assert len(names) > 40

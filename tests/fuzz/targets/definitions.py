@@ -97,6 +97,43 @@ def _hub_type() -> Subject:
     return Subject(parse, seeds, (MessageTypeError,), _WORDS)
 
 
+def _hub_service() -> Subject:
+    """What a worker on the hub says of a service or of an action's part: its name and definition."""
+    from bridge.messages.registry import Registry
+
+    fresh = [Registry(), 0]
+
+    def parse(data: bytes) -> None:
+        if fresh[1] % 300 == 0:
+            fresh[0] = Registry()
+        fresh[1] += 1
+        name, _, definition = data.decode(errors="replace").partition("\n")
+        fresh[0].learn_ros2(name, definition)
+        if name.endswith("_FeedbackMessage"):
+            fresh[0].hub_to_ros1(name)
+            return
+        there = fresh[0].service_hub_to_ros1(name)
+        assert there.request_to_side is not None
+        fresh[0].hub_service_check(name)
+        for message in (b"\0\1\0\0", b"\0\1\0\0" + bytes(64), b"\0\1\0\0" + b"\xff" * 64):
+            try:
+                there.request_to_side(message)
+            except ConversionError:
+                continue
+
+    line = "=" * 80
+    uuid = f"{line}\nMSG: unique_identifier_msgs/UUID\nuint8[16] uuid\n"
+    goal = f"{line}\nMSG: a_acts/action/A_Goal\nint32 order\n"
+    seeds = texts(
+        *(f"a_msgs/srv/A\n{text}---\n{text}" for text in _SEEDS),
+        f"a_acts/action/A_SendGoal\nunique_identifier_msgs/UUID goal_id\na_acts/action/A_Goal goal\n{uuid}{goal}"
+        "---\nbool accepted\nbuiltin_interfaces/Time stamp\n",
+        "a_acts/action/A_FeedbackMessage\nunique_identifier_msgs/UUID goal_id\na_acts/action/A_Feedback feedback\n"
+        f"{uuid}{line}\nMSG: a_acts/action/A_Feedback\nfloat64 way\n",
+    )
+    return Subject(parse, seeds, (MessageTypeError,), [*_WORDS, b"---\n", b"\n---\n", b"_Goal", b"_SendGoal"])
+
+
 def _service_file() -> Subject:
     """``.srv`` and ``.action`` files; the first byte chooses which, and which part of it."""
     from bridge.messages.parts import find_part
@@ -155,6 +192,8 @@ def _mapping_rules() -> Subject:
         "   fields_1_to_2: {x: y, header.stamp: stamp}}\n",
         "- ros1_package_name: a\n  ros1_service_name: S\n  ros2_package_name: b\n  ros2_service_name: T\n"
         "  request_fields_1_to_2:\n    a: b\n",
+        "- {ros1_package_name: a, ros1_action_name: S, ros2_package_name: b, ros2_action_name: T,\n"
+        "   goal_fields_1_to_2: {a: b}, result_fields_1_to_2: {}}\n",
     )
     words = texts(
         "- ",
@@ -235,6 +274,7 @@ TARGETS = (
     Target("definition", 12_000, _definition),
     Target("header_type", 3_000, _header_type),
     Target("hub_type", 3_000, _hub_type),
+    Target("hub_service", 2_000, _hub_service),
     Target("service_file", 4_000, _service_file),
     Target("idl", 300, _idl),
     Target("mapping_rules", 1_500, _mapping_rules),
