@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 from bridge.clock import SYSTEM, RunClock
 from bridge.hub.call import Abandon, Call, Done
@@ -263,6 +263,10 @@ class Edge(ABC):
 
     def went_on(self, seconds: float) -> None:  # noqa: B027  most have nothing to do
         """The process stood still for so long, maybe until the network took it for dead, and runs again."""
+
+    def details(self) -> dict[str, Any]:
+        """What a side has besides to tell in its status document."""
+        return {}
 
     def warnings(self) -> list[str]:
         """What is wrong on the side and not with one route alone, for people; for example incompatible QoS."""

@@ -123,6 +123,7 @@ class Crossing:
             "uptime": round(time.monotonic() - self._started, 1),
             **costs(self._process),
             **document,
+            **engine.edge.details(),
             "warnings": [*document["warnings"], *room.warnings(state_folder(self._config))],
         }
 

@@ -12,6 +12,7 @@ from bridge.cli.console import print_json
 from bridge.cli.doors import refusals
 from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, add_hub_arguments, open_client
+from bridge.cli.port_text import port_lines, port_list
 from bridge.cli.routes_table import Document, arrow, drops_text, route_list
 from bridge.cli.text import clean, duration, plural, rate, side_name
 from bridge.cli.topic_info import endpoint_json, endpoint_text, unknown_topic
@@ -38,7 +39,7 @@ def register(subparsers: Any) -> None:
         description="Asks every worker what it decided of a topic and why, adds what the hub itself shows, and says it"
         " in sentences, with the cure where something stands in the way. Exit code 1 where nobody knows the topic.",
     )
-    parser.add_argument("topic", help="the topic's name, on the hub or on a side")
+    parser.add_argument("topic", help="the topic's name, on the hub or on a side; or that of a YARP port of ours")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
     add_hub_arguments(parser)
 
@@ -59,12 +60,14 @@ class Explanation:
         decisions: what the workers decided, each with its route's status where there is one.
         endpoints: publishers and subscriptions on the hub.
         notes: what the hub's view and the workers' states add.
+        ports: the YARP ports that carry it, as the workers' status documents have them.
     """
 
     topic: str
     decisions: Sequence[tuple[Decision, Document | None]]
     endpoints: Sequence[HubEndpoint]
     notes: Sequence[Note]
+    ports: Sequence[Document] = ()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,13 +91,16 @@ def explain(client: Client, topic: str) -> Explanation:
     endpoints = [
         e for name in sorted(names) for e in (*graph.publishers(name), *graph.subscriptions(name)) if not e.own
     ]
-    if not decisions and not endpoints:
+    ports = [
+        port for document in documents for port in port_list(document) if names & {port.get("topic"), port.get("port")}
+    ]
+    if not decisions and not endpoints and not ports:
         raise CliError(unknown_topic(topic, known_names(client, documents)))
     paired = [(decision, _route(decision, documents)) for decision in decisions]
     names |= {d.topic for d in decisions}
     notes = [*_hub_notes(topic, endpoints), *_warnings(names, documents), *_worker_notes(decisions, documents)]
     notes += [Note(refusal.text, refusal.cure) for refusal in refusals(client, documents) if refusal.topic in names]
-    return Explanation(topic, paired, endpoints, notes)
+    return Explanation(topic, paired, endpoints, notes, ports)
 
 
 def _decisions(client: Client, topic: str) -> list[Decision]:
@@ -180,6 +186,8 @@ def _sentences(explanation: Explanation) -> list[str]:
     lines.append(f"On the hub: {plural(len(publishers), 'publisher')}, {plural(len(subscriptions), 'subscription')}.")
     lines += [f"    published by {endpoint_text(e)}" for e in publishers]
     lines += [f"    heard by {endpoint_text(e)}" for e in subscriptions]
+    for port in explanation.ports:
+        lines += port_lines(port)
     for note in explanation.notes:
         lines.append(f"Note: {clean(note.text)}.")
         if note.cure:
@@ -220,5 +228,6 @@ def _as_json(explanation: Explanation) -> dict[str, Any]:
         "topic": explanation.topic,
         "decisions": [{**decision.as_dict(), "route": route} for decision, route in explanation.decisions],
         "hub": [endpoint_json(endpoint) for endpoint in explanation.endpoints],
+        "ports": list(explanation.ports),
         "notes": [dataclasses.asdict(note) for note in explanation.notes],
     }

@@ -14,6 +14,7 @@ from bridge.cli.console import make_console, print_json
 from bridge.cli.doors import Refusal, refusals
 from bridge.cli.errors import CliError
 from bridge.cli.hubclient import Client, add_hub_arguments, open_client
+from bridge.cli.port_text import connected_lines, port_list
 from bridge.cli.routes_table import Document, arrow, dicts, route_list, routes_table
 from bridge.cli.text import clean, duration, is_number, plural, side_name, size
 from bridge.hub.control import Answer
@@ -111,6 +112,8 @@ def _show_worker(console: Console, document: Document) -> None:
             console.print(Text(f"             cure: {clean(refused['cure'])}"))
     for machine in dicts(document.get("machines")):
         console.print(_machine(machine))
+    for told in connected_lines(port_list(document)):
+        console.print(Text(f"           {told}"))
     warnings = document.get("warnings")
     for warning in warnings if isinstance(warnings, list) else ():
         console.print(Text(f"           warning: {clean(warning)}", "yellow"))

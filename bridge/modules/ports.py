@@ -17,7 +17,7 @@ from yarp_compat.ports.message import Message
 from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Content, Received, payload_of
 from yarp_compat.wire.errors import WireError
-from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.generation import Generations
 from yarp_compat.wire.profile import Profile
 
 _log = logging.getLogger(__name__)
@@ -66,8 +66,11 @@ class HostedPort:
         if self.trouble:
             document["error"] = self.trouble
         if self.answers is not None:
-            peers = self.answers.explain()
-            document["peers"] = [f"{d.peer}: {d.generation.name}, {d.reason}" for d in peers]
+            document["peers"] = [
+                {"port": i.route.source, "carrier": i.carrier.name}
+                | self.answers.of(i.route.source, i.profile).as_dict()
+                for i in self.core.connections.inputs
+            ]
         return document
 
 
@@ -89,7 +92,7 @@ class Ports:
 
     def serve(self, name: str, service: Service) -> HostedPort:
         """Offer an interface to YARP clients of every release."""
-        answers = Generations(Generation.newest(self._profile))
+        answers = self._config.yarp.generations()
         server = Server(service, answers)
         port = self._made(name, server, is_output=False, rpc=True, on_event=server.on_event)
         port.answers = answers

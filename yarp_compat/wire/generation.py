@@ -71,6 +71,10 @@ class Decision:
     generation: Generation
     reason: str
 
+    def as_dict(self) -> dict[str, str]:
+        """Generation and reason, for a status document."""
+        return {"generation": self.generation.value, "generation_why": self.reason}
+
 
 class Generations:
     """Decides for each peer of a name server, and remembers what the peers told of themselves.
@@ -114,13 +118,24 @@ class Generations:
         if profile is self.of(peer).generation.profile:
             return
         found = Generation.YARP_4 if profile is Profile.YARP4 else self._older
-        self._remember(peer, found, f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s")
+        self._remember(peer, found, _bytes_of(profile))
 
-    def of(self, peer: str) -> Decision:
-        """What this peer, a port's name, is answered in."""
+    def of(self, peer: str, profile: Profile | None = None) -> Decision:
+        """What this peer, a port's name, is answered in.
+
+        Args:
+            peer: its name.
+            profile: its dialect, where that is known without its ever having called: it outweighs the rules.
+        """
         told = self._told.get(peer)
         if told is not None:
             return Decision(peer, *told)
+        decision = self._ruled(peer)
+        if profile in (None, decision.generation.profile):
+            return decision
+        return Decision(peer, Generation.YARP_4 if profile is Profile.YARP4 else self._older, _bytes_of(profile))
+
+    def _ruled(self, peer: str) -> Decision:
         for pattern, generation in self._rules:
             if fnmatchcase(peer, pattern):
                 return Decision(peer, generation, f"the rule for {pattern} says so")
@@ -141,3 +156,7 @@ class Generations:
             self._told[peer] = generation, reason
             while len(self._told) > MOST_PEERS:
                 del self._told[next(iter(self._told))]
+
+
+def _bytes_of(profile: Profile | None) -> str:
+    return f"its bytes are YARP {'4' if profile is Profile.YARP4 else '3'}'s"

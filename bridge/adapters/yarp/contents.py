@@ -46,6 +46,7 @@ class Contents:
 
     def __init__(self, section: YarpSection, registry: Registry) -> None:
         self.profile = Profile(section.profile)
+        self.generations = section.generations()
         self._section, self._registry = section, registry
         self._own = [(glob_regex(rule.topic), rule) for rule in section.topics if rule.port is None]
         foreign = [rule for rule in section.topics if rule.port is not None]

@@ -11,7 +11,7 @@ import time
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from bridge.adapters.base import (
     Deliver,
@@ -225,6 +225,10 @@ class YarpEdge(Edge):
             if not self._type_of(node.topic, node.type)
         ]
         return [*away, *self._ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
+
+    def details(self) -> dict[str, Any]:
+        """The ports: what they carry, and who is connected."""
+        return {"ports": self._ports.shown()}
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
 from bridge.adapters.base import MadeBy
 from bridge.adapters.yarp.contents import Contents
@@ -15,6 +16,7 @@ from bridge.adapters.yarp.inlet import Inlet
 from bridge.adapters.yarp.names import DAEMON, OWNER, PortNames
 from bridge.adapters.yarp.outlet import Outlet, TopicOutput
 from bridge.adapters.yarp.plan import Link, PortPlan
+from bridge.adapters.yarp.shown import shown
 from bridge.messages.errors import MessageTypeError
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
@@ -120,6 +122,11 @@ class OwnPorts:
     def warnings(self) -> list[str]:
         """What cannot be opened or connected."""
         return sorted(text for _, text in list(self._trouble.values()))
+
+    def shown(self) -> list[dict[str, Any]]:
+        """All ports, for people."""
+        owns = sorted(self._own.values(), key=lambda own: own.core.name)
+        return [shown(own.plan, own.core, self._contents.generations) for own in owns]
 
     # -- what there should be ------------------------------------------------------------------------------------------
 

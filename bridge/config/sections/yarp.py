@@ -9,6 +9,8 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from bridge.config.sections.section import Enabled, Section
 from bridge.config.sections.values import ROS2_NAME
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.profile import Profile
 
 ProfileName = Literal["yarp3", "yarp4"]
 
@@ -17,6 +19,15 @@ _SCHEME = re.compile(r"/[^\s\"'*()\[\]]*\{topic\}[^\s\"'*()\[\]{}]*")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.-]+:[0-9]{1,5}|\[[0-9a-fA-F:]+\]:[0-9]{1,5}")
 _TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
 _ENTRY = re.compile(r"(deg\()?[A-Za-z]\w*(\.[A-Za-z]\w*)*(\[\d{1,9}\])?(?(1)\))|'[^']*'", re.ASCII)
+
+
+def _release(value: str) -> str:
+    try:
+        Generation.of(value)
+    except ValueError as err:
+        msg = f"{err}, in quotes"
+        raise ValueError(msg) from None
+    return value
 
 
 class Topic(Section):
@@ -118,6 +129,18 @@ class Topic(Section):
         raise ValueError(msg)
 
 
+class Peer(Section):
+    """One rule: which release of YARP the ports of some name are of."""
+
+    port: str = Field(description="Port names: `/cer/*`, where `*` stands for anything, slashes too.")
+    release: str = Field(description="Such as `3.9`; see `release` of the section.")
+
+    @field_validator("release")
+    @classmethod
+    def _release_is_one(cls, value: str) -> str:
+        return _release(value)
+
+
 class YarpSection(Section):
     """The YARP network: its name server, and what the ports of topics are called and carry."""
 
@@ -141,6 +164,12 @@ class YarpSection(Section):
         default="yarp3",
         description="Whose bytes are written, and read where they do not tell: `yarp3` for YARP 3, `yarp4` for 4.",
     )
+    release: str | None = Field(
+        default=None,
+        description="Release of the programs of this network, such as `3.9`: decides how their calls are answered,"
+        " which changed with 3.11, 3.12 and 4.0. A client of 4.0 tells it itself. Default `3.12`, with `yarp4` `4.0`.",
+    )
+    peers: tuple[Peer, ...] = Field(default=(), description="The release of some ports; the first that fits counts.")
     as_: Literal["bottle", "natural"] = Field(
         default="bottle", alias="as", description="What ports carry where no rule of `topics` says it."
     )
@@ -163,6 +192,12 @@ class YarpSection(Section):
         host, _, port = self.address.rpartition(":")
         return host.strip("[]"), int(port)
 
+    def generations(self) -> Generations:
+        """What decides how the calls of a port's peers are answered; it remembers what these tell of themselves."""
+        usual = Generation.newest(Profile(self.profile)) if self.release is None else Generation.of(self.release)
+        older = Generation.YARP_3_12 if usual is Generation.YARP_4 else usual
+        return Generations(usual, [(peer.port, Generation.of(peer.release)) for peer in self.peers], older)
+
     @property
     def configured(self) -> bool:
         """Whether anything is said here."""
@@ -175,6 +210,11 @@ class YarpSection(Section):
             msg = f"{value!r} is no address with a port, for example 127.0.0.1:10000"
             raise ValueError(msg)
         return value
+
+    @field_validator("release")
+    @classmethod
+    def _release_is_one(cls, value: str | None) -> str | None:
+        return value if value is None else _release(value)
 
     @field_validator("namespace")
     @classmethod
