@@ -16,13 +16,12 @@ from bridge.messages.definition import Definition, Schema, World
 from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.hashes import md5_sum, rihs01
-from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
 from bridge.messages.pairing import says_the_same
+from bridge.messages.pairs import Messages
 from bridge.messages.parser import closure
 from bridge.messages.parts import CONTENTS, actionlib_messages, made_parts
-from bridge.messages.rules import Rules
-from bridge.messages.services import Counterpart, unknown_type
+from bridge.messages.services import unknown_type
 from bridge.messages.text import full_text
 
 _UUID = "unique_identifier_msgs/msg/UUID"
@@ -42,19 +41,10 @@ class ActionTypes:
 
 
 class Actions:
-    """The registry's actions; the registry locks.
+    """The registry's actions; the registry locks."""
 
-    Args:
-        ros1: ROS 1's definitions.
-        ros2: ROS 2's definitions.
-        rules: mapping rules.
-        to_ros1: ROS 1's message for one of ROS 2.
-        to_ros2: ROS 2's message for one of ROS 1.
-    """
-
-    def __init__(self, ros1: Library, ros2: Library, rules: Rules, to_ros1: Counterpart, to_ros2: Counterpart) -> None:
-        self._ros1, self._ros2, self._rules = ros1, ros2, rules
-        self._to_ros1, self._to_ros2 = to_ros1, to_ros2
+    def __init__(self, messages: Messages) -> None:
+        self._messages = messages
 
     def ros2_name(self, action: str) -> str:
         """The ROS 2 action for a ROS 1 action (``move_base_msgs/MoveBase``), ``pkg/action/Name``.
@@ -65,13 +55,13 @@ class Actions:
         Raises:
             MessageTypeError: nothing is known of the ROS 1 action.
         """
-        names = self._rules.ros2_names(action, "action")
+        names = self._messages.rules.ros2_names(action, "action")
         for name in names:
-            if self._ros2.installed(f"{name}_Goal") is not None:
+            if self._messages.ros2.installed(f"{name}_Goal") is not None:
                 return name
         goal = self._ros1_content(action, "Goal")
         for name in names:
-            if any(says_the_same(goal, told, self._rules) for told in self._told(name, "SendGoal")):
+            if any(says_the_same(goal, told, self._messages.rules) for told in self._told(name, "SendGoal")):
                 return name
         return legal_type(action, "action")
 
@@ -112,7 +102,7 @@ class Actions:
         """
         action, part = _split(name, World.ROS2)
         content = _CONTENT_OF[part]
-        root = self._ros2.find(name, type_hash)
+        root = self._messages.ros2.find(name, type_hash)
         if root is None:
             return self._derived(name, type_hash)
         if f"{action}_{content}" not in root.types:
@@ -120,8 +110,8 @@ class Actions:
             raise MessageTypeError(msg)
         ros1_action = self.ros1_name(action)
         two = root.sub(f"{action}_{content}")
-        one = self._ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
-            two, self._to_ros1, f"{ros1_action}{content}"
+        one = self._messages.ros1.find(f"{ros1_action}{content}", newest=True) or derive_ros1(
+            two, self._messages.to_ros1, f"{ros1_action}{content}"
         )
         base = ros1_action.replace("/", "/action/", 1)
         return f"{base}_{part}", self._ros1_types(base, one), dict(root.types)
@@ -129,7 +119,7 @@ class Actions:
     def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
         """The part of a ROS 2 action that ROS 1 alone has."""
         action, part = _split(name, World.ROS2)
-        known = " or ".join(self._ros2.fingerprints(name))
+        known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1_action in self._known_ros1(action):
             if self.ros2_name(ros1_action) != action:
                 continue
@@ -170,12 +160,12 @@ class Actions:
 
     def names(self, package: str) -> list[str]:
         """ROS 2 actions of a package of which all is known: installed, told on the hub, and made of ROS 1 actions."""
-        known = [split_part(name)[0] for name in self._ros2.names(package, "action")]
+        known = [split_part(name)[0] for name in self._messages.ros2.names(package, "action")]
         known += [legal_type(name, "action") for name in self._ros1_names(package)]
         return [name for name in dict.fromkeys(known) if name.startswith(f"{package}/") and self._is_whole(name)]
 
     def _is_whole(self, action: str) -> bool:
-        if all(self._ros2.find(f"{action}_{content}") is not None for content in CONTENTS["action"]):
+        if all(self._messages.ros2.find(f"{action}_{content}") is not None for content in CONTENTS["action"]):
             return True
         ros1 = next((name for name in self._known_ros1(action) if self.ros2_name(name) == action), "")
         return bool(ros1) and all(self._find_ros1(ros1, content) is not None for content in CONTENTS["action"])
@@ -183,18 +173,18 @@ class Actions:
     def _ros2_content(self, action: str, part: str, ros1: Schema) -> Schema:
         """A ROS 2 action's goal, result or feedback."""
         name = f"{action}_{_CONTENT_OF[part]}"
-        installed = self._ros2.installed(name)
+        installed = self._messages.ros2.installed(name)
         if installed is not None:
             return installed
         for told in self._told(action, part):
-            if says_the_same(ros1, told, self._rules):
+            if says_the_same(ros1, told, self._messages.rules):
                 return told
-        return derive_ros2(ros1, self._to_ros2, name)
+        return derive_ros2(ros1, self._messages.to_ros2, name)
 
     def _told(self, action: str, part: str) -> list[Schema]:
         """The goals, results or feedbacks that the definitions told on the hub have."""
         content = f"{action}_{_CONTENT_OF[part]}"
-        return [root.sub(content) for root in self._ros2.variants(f"{action}_{part}") if content in root.types]
+        return [root.sub(content) for root in self._messages.ros2.variants(f"{action}_{part}") if content in root.types]
 
     def _ros1_content(self, action: str, content: str) -> Schema:
         """A ROS 1 action's goal, result or feedback."""
@@ -202,19 +192,19 @@ class Actions:
         if found is not None:
             return found
         if is_ros1_name(action):
-            for name in self._rules.ros2_names(action, "action"):
-                ros2 = self._ros2.find(f"{name}_{content}")
+            for name in self._messages.rules.ros2_names(action, "action"):
+                ros2 = self._messages.ros2.find(f"{name}_{content}")
                 if ros2 is not None and self.ros1_name(name) == action:
-                    return derive_ros1(ros2, self._to_ros1, f"{action}{content}")
+                    return derive_ros1(ros2, self._messages.to_ros1, f"{action}{content}")
         base = action.replace("/", "/action/", 1)
         raise unknown_type(base if content == "Goal" else f"{base}_{content}", World.ROS1)
 
     def _find_ros1(self, action: str, content: str) -> Schema | None:
-        return self._ros1.find(f"{action}{content}", newest=True)
+        return self._messages.ros1.find(f"{action}{content}", newest=True)
 
     def _known_ros1(self, action: str) -> Iterator[str]:
         """The ROS 1 actions that may stand for a ROS 2 action, the likeliest first."""
-        names = self._rules.ros1_names(action)
+        names = self._messages.rules.ros1_names(action)
         others = self._ros1_names(action.split("/", 1)[0])
         names += [name for name in others if name not in names and legal_type(name, "action") == action]
         for name in names:
@@ -223,20 +213,20 @@ class Actions:
 
     def _ros1_names(self, package: str) -> list[str]:
         """What may be actions of a ROS 1 package: all that has a goal, but for what wraps one."""
-        known = dict.fromkeys(self._ros1.names(package))
+        known = dict.fromkeys(self._messages.ros1.names(package))
         goals = [name for name in known if name.endswith("Goal")]
         wrappers = {f"{name.removesuffix('Goal')}ActionGoal" for name in goals}
         return [name.removesuffix("Goal") for name in goals if name not in wrappers]
 
     def _ros1_types(self, base: str, content: Schema) -> Types:
-        uuid = self._ros2.installed(_UUID)
+        uuid = self._messages.ros2.installed(_UUID)
         assert uuid is not None  # rosbags' store has it
-        return {**made_parts(base, World.ROS1), **self._to_ros1(uuid).types, **content.types}
+        return {**made_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **content.types}
 
     def _ros2_types(self, action: str, content: Schema) -> Types:
         types = made_parts(action, World.ROS2)
         for needed in _NEEDED:
-            found = self._ros2.installed(needed)
+            found = self._messages.ros2.installed(needed)
             assert found is not None  # rosbags' store has it
             types.update(found.types)
         return {**types, **content.types}
@@ -244,12 +234,12 @@ class Actions:
     def _wrapper(self, action: str, content: str) -> Schema:
         """The message in which actionlib sends a goal, a result or feedback."""
         name = f"{action}Action{content}"
-        found = self._ros1.find(name, newest=True)
+        found = self._messages.ros1.find(name, newest=True)
         if found is not None:
             return found
         types = {**actionlib_messages(action), **self._ros1_content(action, content).types}
         for needed in types[name].nested_names():
-            known = self._ros1.installed(needed) if needed not in types else None
+            known = self._messages.ros1.installed(needed) if needed not in types else None
             types.update({} if known is None else known.types)
         return closure(types[name], types)
 

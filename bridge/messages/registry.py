@@ -7,27 +7,23 @@ header or on the hub, is used for what carries its md5 or hash; two definitions 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bridge.messages.actions import Actions, ActionTypes
 from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.definition import Definition, Schema, World
-from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.library import Library
-from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type
-from bridge.messages.pairing import left_out, pair_types, says_the_same
+from bridge.messages.names import is_ros1_name, is_ros2_name
+from bridge.messages.pairs import ANY_MD5, Messages
 from bridge.messages.parser import closure
 from bridge.messages.parts import CONTENTS
 from bridge.messages.rules import Rules
 from bridge.messages.services import Service, Services, ros1_service, ros2_service
 from bridge.messages.sources import Tree, ros1_sources, ros2_sources
-from bridge.messages.text import full_text, own_text
-from bridge.messages.transcoder import Convert, cdr_to_ros1, check_cdr, ros1_to_cdr
-
-ANY_MD5 = ("", "*")
-"""What a ROS 1 endpoint announces that takes any definition."""
+from bridge.messages.text import own_text
+from bridge.messages.transcoder import Convert, check_cdr
 
 
 class Registry:
@@ -48,19 +44,16 @@ class Registry:
         prefixes: Sequence[Path] = (),
         ros1_packages: Path | None = None,
     ) -> None:
-        self._rules = Rules(mapping_rules)
         self._ros1 = Library(World.ROS1, ros1_sources(folders, ros1_packages))
         self._sources2 = ros2_sources(folders, prefixes)
         self._ros2 = Library(World.ROS2, self._sources2)
         self._lock = threading.RLock()
-        self._converters: dict[tuple[str, ...], Conversion] = {}
         self._answers: dict[tuple[str, str, str], Conversion] = {}
         self._service_answers: dict[tuple[str, str, str], ServiceConversion] = {}
         self._checks: dict[str, Convert] = {}
-        self._counterparts: dict[tuple[str, str], Schema] = {}
-        libraries = self._ros1, self._ros2, self._rules
-        self._services = Services(*libraries, self._to_ros1, self._to_ros2, self._conversion)
-        self._actions = Actions(*libraries, self._to_ros1, self._to_ros2)
+        self._messages = Messages(self._ros1, self._ros2, Rules(mapping_rules))
+        self._services = Services(self._messages)
+        self._actions = Actions(self._messages)
 
     def ros1(self, name: str) -> SideType:
         """The ROS 1 type ``name``; where ROS 2 alone has it, the one derived from there.
@@ -69,7 +62,7 @@ class Registry:
             MessageTypeError: nothing is known of it.
         """
         with self._lock:
-            return self._side(self._find_ros1(name, ""))
+            return self._messages.side(self._messages.find_ros1(name))
 
     def ros2(self, name: str) -> SideType:
         """The ROS 2 type ``name``; where ROS 1 alone has it, the one derived from there.
@@ -78,7 +71,7 @@ class Registry:
             MessageTypeError: nothing is known of it.
         """
         with self._lock:
-            return self._side(self.schema(name))
+            return self._messages.side(self.schema(name))
 
     def schema(self, name: str, type_hash: str = "") -> Schema:
         """The ROS 2 type with all that it nests, as the decoders need it."""
@@ -131,10 +124,10 @@ class Registry:
                     self.learn_ros1(name, definition, md5)
                 if _is_feedback(name):
                     other, one, two = self._actions.of_ros1(name)
-                    self._answers[key] = self._conversion(closure(one[name], one), closure(two[other], two))
+                    self._answers[key] = self._messages.conversion(closure(one[name], one), closure(two[other], two))
                 else:
-                    source = self._find_ros1(name, md5)
-                    self._answers[key] = self._conversion(source, self._to_ros2(source))
+                    source = self._messages.find_ros1(name, md5)
+                    self._answers[key] = self._messages.conversion(source, self._messages.to_ros2(source))
             return self._answers[key]
 
     def hub_to_ros1(self, type_name: str, type_hash: str = "") -> Conversion:
@@ -148,10 +141,12 @@ class Registry:
             if key not in self._answers:
                 if _is_feedback(type_name):
                     other, one, two = self._actions.of_ros2(type_name, type_hash)
-                    self._answers[key] = self._conversion(closure(two[type_name], two), closure(one[other], one))
+                    self._answers[key] = self._messages.conversion(
+                        closure(two[type_name], two), closure(one[other], one)
+                    )
                 else:
                     source = self._find_ros2(type_name, type_hash)
-                    self._answers[key] = self._conversion(source, self._to_ros1(source))
+                    self._answers[key] = self._messages.conversion(source, self._messages.to_ros1(source))
             return self._answers[key]
 
     def hub_check(self, type_name: str, type_hash: str = "") -> Callable[[bytes], bytes]:
@@ -263,8 +258,8 @@ class Registry:
             for name in self._ros2.names(package):
                 short = name.split("/")[2]
                 if f"msg/{short}.msg" not in files:
-                    files[f"msg/{short}.msg"] = own_text(self._find_ros2(name, "").root)
-            for schema in self._derivable(package):
+                    files[f"msg/{short}.msg"] = own_text(self._find_ros2(name).root)
+            for schema in self._messages.derivable(package):
                 short = schema.name.split("/")[2]
                 files.setdefault(f"msg/{short}.msg", own_text(schema.root))
             for kind, found in (("srv", self._services), ("action", self._actions)):
@@ -272,27 +267,23 @@ class Registry:
                     path = f"{kind}/{name.split('/')[2]}.{kind}"
                     contents = [f"{name}_{part}" for part in CONTENTS[kind]]
                     if path not in files:
-                        files[path] = "---\n".join(own_text(self._find_ros2(one, "").root) for one in contents)
+                        files[path] = "---\n".join(own_text(self._find_ros2(one).root) for one in contents)
             return files
 
     def _forget(self) -> None:
         """A new definition may change what stands for what."""
         self._answers.clear()
         self._service_answers.clear()
-        self._counterparts.clear()
+        self._messages.forget()
 
-    def _derivable(self, package: str) -> Iterator[Schema]:
-        """ROS 2 types of a package that are made from ROS 1 types."""
-        for name in self._ros1.names(package):
-            ros1 = self._ros1.find(name, newest=True)
-            if ros1 is None:
-                continue
-            try:
-                ros2 = self._to_ros2(ros1)
-            except MessageTypeError:
-                continue
-            if ros2.root.package == package:
-                yield ros2
+    def _find_ros2(self, name: str, type_hash: str = "") -> Schema:
+        """A message of ROS 2, which may be part of a service or action."""
+        if self._ros2.find(name, type_hash) is None and is_ros2_name(name):
+            if _is_action(name):
+                return self._actions.schema(name, type_hash)
+            if "/srv/" in name:
+                return self._services.part(name, type_hash)
+        return self._messages.find_ros2(name, type_hash)
 
     def _find_service(self, name: str, type_hash: str) -> Service:
         if _is_action(name):
@@ -304,115 +295,6 @@ class Registry:
         if key not in self._checks:
             self._checks[key] = check_cdr(schema)
         return self._checks[key]
-
-    def _side(self, schema: Schema) -> SideType:
-        library = self._ros1 if schema.world is World.ROS1 else self._ros2
-        return SideType(schema.name, library.fingerprint(schema), full_text(schema))
-
-    def _conversion(self, source: Schema, target: Schema) -> Conversion:
-        sides = self._side(source), self._side(target)
-        key = (*(side.name for side in sides), *(side.type_id for side in sides))
-        if key not in self._converters:
-            if source.world is World.ROS1:
-                pairs = pair_types(source, target, self._rules)
-                convert = ros1_to_cdr(source, target, pairs)
-                self._converters[key] = Conversion(*sides, convert, left_out(pairs, self._rules))
-            else:
-                convert = cdr_to_ros1(source, target, pair_types(target, source, self._rules))
-                self._converters[key] = Conversion(*sides, convert)
-        return self._converters[key]
-
-    def _find_ros1(self, name: str, md5: str) -> Schema:
-        wanted = "" if md5 in ANY_MD5 else md5
-        found = self._ros1.find(name, wanted, newest=True)
-        if found is not None:
-            return found
-        if is_ros1_name(name):
-            for candidate in self._rules.ros2_names(name):
-                ros2 = self._ros2.find(candidate)
-                derived = None if ros2 is None else self._to_ros1(ros2)
-                if derived is not None and derived.name == name and wanted in ("", self._ros1.fingerprint(derived)):
-                    return derived
-        raise self._unknown(name, wanted, self._ros1, "md5")
-
-    def _find_ros2(self, name: str, type_hash: str) -> Schema:
-        found = self._ros2.find(name, type_hash)
-        if found is not None:
-            return found
-        if is_ros2_name(name):
-            kind = name.split("/")[1]
-            if kind == "action":
-                return self._actions.schema(name, type_hash)
-            if kind == "srv":
-                return self._services.part(name, type_hash)
-            for ros1 in self._ros1_variants(name):
-                ros2 = self._to_ros2(ros1)
-                if ros2.name == name and type_hash in ("", self._ros2.fingerprint(ros2)):
-                    return ros2
-        raise self._unknown(name, type_hash, self._ros2, "hash")
-
-    def _unknown(self, name: str, wanted: str, library: Library, word: str) -> MessageTypeError:
-        world = library.world.value
-        known = library.fingerprints(name)
-        package = name.split("/")[0]
-        if wanted and known:
-            return MessageTypeError(
-                f"{name} has the {word} {wanted} there but {' or '.join(known)} here: the definitions differ",
-                f"use the same version of {package} on both sides",
-            )
-        return MessageTypeError(
-            f"no definition of the {world} type {name} is known",
-            f"install {package}, or put its .msg files into a folder that types.folders names",
-        )
-
-    def _ros1_variants(self, ros2_name: str) -> Iterator[Schema]:
-        """All ROS 1 definitions that may stand for a ROS 2 name, the likeliest first."""
-        package = ros2_name.split("/", 1)[0]
-        names = self._rules.ros1_names(ros2_name)
-        for name in names:
-            yield from self._ros1.variants(name)
-        for name in self._ros1.names(package):
-            if name not in names and legal_type(name) == ros2_name:
-                yield from self._ros1.variants(name)
-
-    def _to_ros2(self, ros1: Schema) -> Schema:
-        """The ROS 2 type that stands for a ROS 1 type.
-
-        It is one that is installed; else one that others use on the hub and that says the same, field for field; else
-        it is derived.
-        """
-        key = (ros1.name, self._ros1.fingerprint(ros1))
-        if key not in self._counterparts:
-            self._counterparts[key] = self._match_ros2(ros1)
-        return self._counterparts[key]
-
-    def _match_ros2(self, ros1: Schema) -> Schema:
-        names = self._rules.ros2_names(ros1.name)
-        for name in names:
-            found = self._ros2.installed(name)
-            if found is not None:
-                return found
-        for name in names:
-            for told in self._ros2.variants(name):
-                if says_the_same(ros1, told, self._rules):
-                    return told
-        return derive_ros2(ros1, self._to_ros2)
-
-    def _to_ros1(self, ros2: Schema) -> Schema:
-        """The ROS 1 type that stands for a ROS 2 type: announced by publishers, installed, else derived."""
-        key = (ros2.name, self._ros2.fingerprint(ros2))
-        if key not in self._counterparts:
-            self._counterparts[key] = self._match_ros1(ros2, key[1])
-        return self._counterparts[key]
-
-    def _match_ros1(self, ros2: Schema, wanted: str) -> Schema:
-        first: Schema | None = None
-        for ros1 in self._ros1_variants(ros2.name):
-            back = self._to_ros2(ros1)
-            if back.name == ros2.name and self._ros2.fingerprint(back) == wanted:
-                return ros1
-            first = first or ros1
-        return first or derive_ros1(ros2, self._to_ros1)
 
 
 def _is_action(name: str) -> bool:

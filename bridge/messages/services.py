@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.conversion import ServiceConversion, SideType
 from bridge.messages.definition import Schema, World
 from bridge.messages.derive import derive_ros1, derive_ros2
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.hashes import md5_sum, rihs01
-from bridge.messages.library import Library
 from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_part
 from bridge.messages.pairing import says_the_same
+from bridge.messages.pairs import Messages
 from bridge.messages.parser import closure
 from bridge.messages.parts import CANCEL_GOAL, CONTENTS, is_service, made_parts
-from bridge.messages.rules import Rules
 from bridge.messages.text import full_text
-
-Counterpart = Callable[[Schema], Schema]
-"""The other world's message for one."""
-
-Convert = Callable[[Schema, Schema], Conversion]
-"""How messages of one type become messages of its counterpart."""
 
 
 @dataclass(frozen=True)
@@ -79,28 +72,10 @@ def unknown_type(name: str, world: World, wanted: str = "", known: str = "") -> 
 
 
 class Services:
-    """The registry's services; the registry locks.
+    """The registry's services; the registry locks."""
 
-    Args:
-        ros1: ROS 1's definitions.
-        ros2: ROS 2's definitions.
-        rules: mapping rules.
-        to_ros1: ROS 1's message for one of ROS 2.
-        to_ros2: ROS 2's message for one of ROS 1.
-        convert: makes the conversion of a pair of messages.
-    """
-
-    def __init__(
-        self,
-        ros1: Library,
-        ros2: Library,
-        rules: Rules,
-        to_ros1: Counterpart,
-        to_ros2: Counterpart,
-        convert: Convert,
-    ) -> None:
-        self._ros1, self._ros2, self._rules = ros1, ros2, rules
-        self._to_ros1, self._to_ros2, self._convert = to_ros1, to_ros2, convert
+    def __init__(self, messages: Messages) -> None:
+        self._messages = messages
 
     def of_ros1(self, name: str, md5: str = "") -> Service:
         """The ROS 1 service ``pkg/Name``; where ROS 2 alone has it, the one derived from there.
@@ -114,7 +89,7 @@ class Services:
             raise unknown_type(name, World.ROS1)
         found = self._find_ros1(name)
         if found is None:
-            for candidate in self._rules.ros2_names(name, "srv"):
+            for candidate in self._messages.rules.ros2_names(name, "srv"):
                 ros2 = self._find_ros2(candidate)
                 derived = None if ros2 is None else self.to_ros1(ros2)
                 if derived is not None and derived.name == name:
@@ -135,7 +110,7 @@ class Services:
         found = self._find_ros2(name, type_hash)
         if found is not None:
             return found
-        known = " or ".join(self._ros2.fingerprints(name))
+        known = " or ".join(self._messages.ros2.fingerprints(name))
         for ros1 in self._ros1_candidates(name):
             ros2 = self.to_ros2(ros1)
             if ros2.name == name:
@@ -159,16 +134,16 @@ class Services:
 
     def to_ros2(self, ros1: Service) -> Service:
         """The ROS 2 service for one of ROS 1: installed, told on the hub and saying the same, else derived."""
-        names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._rules.ros2_names(ros1.name, "srv")
+        names = [CANCEL_GOAL] if ros1.name == CANCEL_GOAL else self._messages.rules.ros2_names(ros1.name, "srv")
         for name in names:
-            root = self._ros2.installed(name)
+            root = self._messages.ros2.installed(name)
             if root is not None:
                 return ros2_service(root)
         for name in names:
-            for root in self._ros2.variants(name):
+            for root in self._messages.ros2.variants(name):
                 told = ros2_service(root)
-                if says_the_same(ros1.request, told.request, self._rules) and says_the_same(
-                    ros1.response, told.response, self._rules
+                if says_the_same(ros1.request, told.request, self._messages.rules) and says_the_same(
+                    ros1.response, told.response, self._messages.rules
                 ):
                     return told
         return self._derive_ros2(ros1)
@@ -189,22 +164,22 @@ class Services:
         Raises:
             MessageTypeError: they are no pair.
         """
-        request = self._convert(ros1.request, ros2.request)
-        response = self._convert(ros1.response, ros2.response)
+        request = self._messages.conversion(ros1.request, ros2.request)
+        response = self._messages.conversion(ros1.response, ros2.response)
         return ServiceConversion(
             side=ros1.side_type,
             hub=ros2.side_type,
-            request_to_side=self._convert(ros2.request, ros1.request).convert,
+            request_to_side=self._messages.conversion(ros2.request, ros1.request).convert,
             request_to_hub=request.convert,
-            response_to_side=self._convert(ros2.response, ros1.response).convert,
+            response_to_side=self._messages.conversion(ros2.response, ros1.response).convert,
             response_to_hub=response.convert,
             left_out=(*request.left_out, *response.left_out),
         )
 
     def names(self, package: str) -> list[str]:
         """ROS 2 services of a package: installed ones, those told on the hub, and what is made of ROS 1 services."""
-        known = [name for name in self._ros2.names(package, "srv") if is_service(name)]
-        for name in self._ros1.names(package, "srv"):
+        known = [name for name in self._messages.ros2.names(package, "srv") if is_service(name)]
+        for name in self._messages.ros1.names(package, "srv"):
             ros2 = legal_type(name.replace("/srv/", "/", 1), "srv")
             if ros2 not in known and ros2.startswith(f"{package}/"):
                 known.append(ros2)
@@ -212,18 +187,18 @@ class Services:
 
     def _find_ros1(self, name: str) -> Service | None:
         base = name.replace("/", "/srv/", 1)
-        request, response = (self._ros1.installed(f"{base}_{part}") for part in CONTENTS["srv"])
+        request, response = (self._messages.ros1.installed(f"{base}_{part}") for part in CONTENTS["srv"])
         return ros1_service(name, request, response) if request is not None and response is not None else None
 
     def _find_ros2(self, name: str, type_hash: str = "") -> Service | None:
-        root = self._ros2.find(name, type_hash)
+        root = self._messages.ros2.find(name, type_hash)
         return None if root is None else ros2_service(root)
 
     def _ros1_candidates(self, ros2_name: str) -> Iterator[Service]:
         """All ROS 1 services that may stand for a ROS 2 name, the likeliest first."""
         package = ros2_name.split("/", 1)[0]
-        names = self._rules.ros1_names(ros2_name)
-        others = [name.replace("/srv/", "/", 1) for name in self._ros1.names(package, "srv")]
+        names = self._messages.rules.ros1_names(ros2_name)
+        others = [name.replace("/srv/", "/", 1) for name in self._messages.ros1.names(package, "srv")]
         names += [name for name in others if name not in names and legal_type(name, "srv") == ros2_name]
         for name in names:
             found = self._find_ros1(name)
@@ -232,15 +207,15 @@ class Services:
 
     def _derive_ros2(self, ros1: Service) -> Service:
         base = legal_type(ros1.name, "srv")
-        info = self._ros2.installed("service_msgs/msg/ServiceEventInfo")
+        info = self._messages.ros2.installed("service_msgs/msg/ServiceEventInfo")
         assert info is not None  # rosbags' store has it
         types = {**made_parts(base, World.ROS2), **info.types}
         for ros1_part in (ros1.request, ros1.response):
-            types |= derive_ros2(ros1_part, self._to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
+            types |= derive_ros2(ros1_part, self._messages.to_ros2, f"{base}_{ros1_part.name.rpartition('_')[2]}").types
         return ros2_service(closure(types[base], types))
 
     def _derive_ros1(self, ros2: Service) -> Service:
-        request = derive_ros1(ros2.request, self._to_ros1, ros2.request.name)
-        response = derive_ros1(ros2.response, self._to_ros1, ros2.response.name)
+        request = derive_ros1(ros2.request, self._messages.to_ros1, ros2.request.name)
+        response = derive_ros1(ros2.response, self._messages.to_ros1, ros2.response.name)
         name = ros2.name if ros2.name == CANCEL_GOAL else ros2.name.replace("/srv/", "/", 1)
         return ros1_service(name, request, response)

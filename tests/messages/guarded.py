@@ -53,7 +53,7 @@ def programs(registry: Registry, name: str) -> list[tuple[Program, bytes]]:
     rules = Rules()
     ros2 = registry.schema(name)
     back = registry.hub_to_ros1(name)
-    ros1 = registry._find_ros1(back.target.name, back.target.type_id)
+    ros1 = registry._messages.find_ros1(back.target.name, back.target.type_id)
     table = pair_types(ros1, ros2, rules)
     cdr = from_json(registry, name, sample(ros2))
     assert back.convert is not None

@@ -237,8 +237,8 @@ def _any_type() -> Subject:
         text, _, message = data.partition(b"~\n")
         registry = fresh[0]
         registry.learn_ros1("a_msgs/A", text.decode(errors="replace"))
-        ros1 = registry._find_ros1("a_msgs/A", "")
-        ros2 = registry._to_ros2(ros1)
+        ros1 = registry._messages.find_ros1("a_msgs/A", "")
+        ros2 = registry._messages.to_ros2(ros1)
         table = pair_types(ros1, ros2, rules)
         there = compile_pair(ros1, ros2, lambda a, b: table[a, b].fields)
         back = compile_pair(ros2, ros1, lambda a, b: [(two, one) for one, two in table[b, a].fields])
