@@ -7,13 +7,15 @@ import os
 import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from bridge.adapters.base import (
     Deliver,
     Edge,
+    EdgeCaller,
     EdgeListener,
     EdgePublisher,
+    EdgeServer,
     EdgeSubscription,
     Endpoint,
     Kind,
@@ -23,6 +25,7 @@ from bridge.adapters.base import (
 from bridge.adapters.ros2 import neighbours, rcl, shm, spdp
 from bridge.adapters.ros2.environment import domain
 from bridge.adapters.ros2.graph import Graph, Snapshot
+from bridge.adapters.ros2.lives import Lives
 from bridge.adapters.ros2.loop import Loop, TakeLoop
 from bridge.adapters.ros2.mark import new_prefix, participant_number
 from bridge.adapters.ros2.origins import Origins
@@ -31,17 +34,28 @@ from bridge.adapters.ros2.presence import TYPE, Presence
 from bridge.adapters.ros2.process import use_profile
 from bridge.adapters.ros2.publisher import Ros2Publisher
 from bridge.adapters.ros2.qos import mismatch
+from bridge.adapters.ros2.service_caller import Ros2Caller
+from bridge.adapters.ros2.service_later import Later
+from bridge.adapters.ros2.service_parts import Parts
+from bridge.adapters.ros2.service_server import Ros2Server
+from bridge.adapters.ros2.service_types import ServiceTypes
 from bridge.adapters.ros2.subscription import Ros2Subscription
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.waitset import WaitSetLoop
 from bridge.config.model import Config
+from bridge.hub.call import Call
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
+from bridge.messages.hashes import rihs01
+from bridge.messages.refusals import refusal
 from bridge.messages.registry import Registry
 
 _log = logging.getLogger(__name__)
+
+_Service = TypeVar("_Service", Ros2Caller, Ros2Server)
+_AnyService = Ros2Caller | Ros2Server
 
 _FORGOTTEN = 15.0
 """Seconds after which others may have given us up: Fast DDS's default lease is 20."""
@@ -54,15 +68,17 @@ class Ros2Edge(Edge):
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         self._config, self._registry, self._state = config, registry, state
-        self._types = TypeSupports()
+        self._types, self._service_types = TypeSupports(), ServiceTypes()
         self._lock = threading.Lock()
         self._subscriptions: set[Ros2Subscription] = set()
         self._publishers: set[Ros2Publisher] = set()
+        self._services: set[_AnyService] = set()
         self._listener: EdgeListener | None = None
         self._prefix = b""
         self._neighbours: neighbours.Neighbours | None = None
         self._participant: Participant | None = None
         self._loop: Loop | None = None
+        self._parts: Parts | None = None
         self._graph: Graph | None = None
         self._origins: Origins | None = None
         self._presence: Presence | None = None
@@ -81,6 +97,7 @@ class Ros2Edge(Edge):
         self._loop = TakeLoop() if rcl.has_eventfd() else WaitSetLoop(self._participant)
         self._loop.start()
         graph = self._graph = Graph(self._participant, self._prefix, self._changed)
+        self._parts = Parts(self._participant, self._loop, graph, Lives(self._prefix), Later())
         self._origins = Origins(
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
         )
@@ -114,9 +131,9 @@ class Ros2Edge(Edge):
         if self._neighbours is not None:
             self._neighbours.follow(snapshot.participants)
         with self._lock:
-            subscriptions = list(self._subscriptions)
-        for subscription in subscriptions:
-            subscription.refit()
+            following: list[Ros2Subscription | _AnyService] = [*self._subscriptions, *self._services]
+        for endpoint in following:
+            endpoint.refit()
         if self._listener is not None:
             self._listener.graph_changed()
 
@@ -161,9 +178,13 @@ class Ros2Edge(Edge):
             if part is not None:
                 part.close()
         with self._lock:
-            endpoints: list[Ros2Subscription | Ros2Publisher] = [*self._subscriptions, *self._publishers]
+            endpoints: list[Ros2Subscription | Ros2Publisher | _AnyService]
+            endpoints = [*self._subscriptions, *self._publishers, *self._services]
         for endpoint in endpoints:
             endpoint.close()
+        parts, self._parts = self._parts, None
+        if parts is not None:
+            parts.later.stop()
         loop.stop()
         participant.close()
 
@@ -176,7 +197,7 @@ class Ros2Edge(Edge):
         return origin.side == self.side and self._origins is not None and self._origins.is_own(origin.network)
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """Publishers and subscriptions of all other participants."""
+        """Publishers, subscriptions, servers and clients of all other participants."""
         return self._graph.snapshot.endpoints if self._graph is not None else ()
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
@@ -245,6 +266,55 @@ class Ros2Edge(Edge):
                 f"rename one of the two by a rule with 'type: {type_name}': a ROS 2 program has one type per topic",
             )
 
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """The bytes are the same once they are checked, as those of topics are."""
+        conversion = self._service(endpoint.type, "")
+        request, _ = self._part_hashes(conversion.side)
+        if endpoint.type_id not in ("", request):
+            raise MessageTypeError(
+                f"{endpoint.type}: its server's requests have {endpoint.type_id}, this machine's have {request}",
+                "install the same version of the package on both, or give its .srv folder in types.folders",
+            )
+        return conversion
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """The bytes are the same once they are checked, as those of topics are."""
+        return self._service(type_name, type_hash)
+
+    def _service(self, type_name: str, type_hash: str) -> ServiceConversion:
+        known = self._registry.service_ros2(type_name, type_hash)
+        request, response = self._registry.hub_service_check(type_name, type_hash)
+        return ServiceConversion(known, known, request, request, response, response)
+
+    def _part_hashes(self, service: SideType) -> tuple[str, str]:
+        request, response = self._registry.service_schemas(service.name, service.type_id)
+        return rihs01(request), rihs01(response)
+
+    def _service_class(self, service: SideType) -> Any:
+        return self._service_types.service_class(service.name, service.type_id, self._part_hashes(service))
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """A client of the native servers of a name."""
+        service_class = self._service_class(side_type)
+        return self._kept(Ros2Caller(name, service_class, self._started(), self._service_closed))
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """A server; a DDS client that cannot be told of an error waits on, as after any reply that is lost."""
+        service_class = self._service_class(side_type)
+        refuse = refusal(self._registry, side_type.name, side_type.type_id)
+        return self._kept(Ros2Server(name, service_class, call, refuse, self._started(), self._service_closed))
+
+    def _started(self) -> Parts:
+        if self._parts is None:
+            msg = "the ROS 2 edge is not started"
+            raise RuntimeError(msg)
+        return self._parts
+
+    def _kept(self, service: _Service) -> _Service:
+        with self._lock:
+            self._services.add(service)
+        return service
+
     def went_on(self, seconds: float) -> None:
         """See `Edge.went_on`: who was forgotten by others, and has not forgotten them, is never found again."""
         if seconds > _FORGOTTEN and self._listener is not None:
@@ -269,6 +339,10 @@ class Ros2Edge(Edge):
     def _subscription_closed(self, subscription: Ros2Subscription) -> None:
         with self._lock:
             self._subscriptions.discard(subscription)
+
+    def _service_closed(self, service: _AnyService) -> None:
+        with self._lock:
+            self._services.discard(service)
 
     def _publisher_closed(self, publisher: Ros2Publisher) -> None:
         with self._lock:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ from bridge.adapters.ros2 import rcl
 from bridge.adapters.ros2.mark import PREFIX_BYTES, is_marked
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.qos import from_rclpy
+from bridge.adapters.ros2.service_names import reply_topic, request_topic, service_type
 
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """rmw's name for the node of an endpoint whose participant has not told its nodes yet (or is no ROS node's)."""
@@ -37,13 +38,16 @@ class Snapshot:
     """The graph at one moment, without our own endpoints.
 
     Attributes:
-        endpoints: publishers and subscriptions of ROS topics, hidden ones left out.
+        endpoints: publishers and subscriptions of ROS topics, hidden ones left out but for actions', and servers and
+            clients of services.
         publishers: the publishers by topic and GID.
+        servers: GIDs of the native servers by service.
         participants: GUID prefixes of all ROS participants but ours.
     """
 
     endpoints: tuple[Endpoint, ...] = ()
     publishers: Mapping[str, Mapping[bytes, Endpoint]] = field(default_factory=dict)
+    servers: Mapping[str, frozenset[bytes]] = field(default_factory=dict)
     participants: frozenset[bytes] = frozenset()
 
 
@@ -94,20 +98,34 @@ class Graph:
                 publishers[topic] = dict(found)
             endpoints += [e for _, e in found]
             endpoints += [e for _, e in self._endpoints_of(topic, Kind.SUBSCRIPTION)]
+        servers: dict[str, frozenset[bytes]] = {}
+        for service, requests in self._participant.service_topics():
+            found = self._others(service, Kind.SERVER, self._participant.readers(requests))
+            servers[service] = frozenset(gid for gid, server in found if server.made_by is MadeBy.NATIVE)
+            endpoints += [e for _, e in found]
+            endpoints += [e for _, e in self._others(service, Kind.CLIENT, self._participant.writers(requests))]
         prefixes = {gid[:PREFIX_BYTES] for gid in self._participant.participants()}
-        return Snapshot(tuple(endpoints), publishers, frozenset(prefixes - {self._own}))
+        return Snapshot(tuple(endpoints), publishers, servers, frozenset(prefixes - {self._own}))
+
+    def clients(self, service: str) -> set[bytes]:
+        """GIDs by which requests of a service's clients may be known, looked up now."""
+        ends = self._participant.writers(request_topic(service)), self._participant.readers(reply_topic(service))
+        return {bytes(info["endpoint_gid"]) for end in ends for info in end}
 
     def _endpoints_of(self, topic: str, kind: Kind) -> list[tuple[bytes, Endpoint]]:
         look = self._participant.publishers if kind is Kind.PUBLISHER else self._participant.subscriptions
+        return self._others(topic, kind, look(topic))
+
+    def _others(self, name: str, kind: Kind, infos: Sequence[Mapping[str, Any]]) -> list[tuple[bytes, Endpoint]]:
         found = []
-        for info in look(topic):
+        for info in infos:
             gid = bytes(info["endpoint_gid"])
             if gid[:PREFIX_BYTES] != self._own:
-                found.append((gid, _endpoint(topic, kind, gid, info)))
+                found.append((gid, _endpoint(name, kind, gid, info)))
         return found
 
     def _run(self) -> None:
-        wait_set = self._participant.make_wait_set(0, 2)
+        wait_set = self._participant.make_wait_set(2)
         with self._guard, wait_set:
             while not self._stopping.is_set():
                 started = time.monotonic()
@@ -132,9 +150,13 @@ class Graph:
             self._changed(snapshot)
 
 
+_ACTION_TOPICS = ("/_action/feedback", "/_action/status")
+
+
 def is_hidden(topic: str) -> bool:
-    """Whether a name has a part that begins with an underscore: hidden by ROS 2's rule, actions' topics among them."""
-    return "/_" in topic
+    """Whether a name has a part that begins with an underscore, hidden by ROS 2's rule, and is not an action's."""
+    action = next((topic.removesuffix(end) for end in _ACTION_TOPICS if topic.endswith(end)), topic)
+    return "/_" in action
 
 
 def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> Endpoint:
@@ -144,7 +166,7 @@ def _endpoint(topic: str, kind: Kind, gid: bytes, info: Mapping[str, Any]) -> En
         id=gid.hex(),
         kind=kind,
         topic=topic,
-        type=str(info["topic_type"]),
+        type=service_type(str(info["topic_type"])),
         qos=from_rclpy(info["qos_profile"]),
         made_by=MadeBy.MIDSPAN if is_marked(gid) else MadeBy.NATIVE,
         node="" if node == _UNKNOWN_NODE else f"{str(info['node_namespace']).rstrip('/')}/{node}",

@@ -1,6 +1,6 @@
-"""One thread that takes the messages of all subscriptions.
+"""One thread that takes the messages of all subscriptions, and all requests and replies.
 
-rcl counts new messages in an eventfd per subscription, from the middleware's thread and without Python; the thread here
+rcl counts new messages in an eventfd for each, from the middleware's thread and without Python; the thread here
 sleeps in epoll. So a message costs the same beside one subscription as beside five hundred, where a wait set and
 rclpy's executors look at every one for each message.
 """
@@ -12,7 +12,7 @@ import os
 import select
 import threading
 from collections import deque
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from bridge.adapters.ros2 import rcl
 
@@ -23,15 +23,24 @@ _log = logging.getLogger(__name__)
 
 
 class Reader(Protocol):
-    """A DDS reader that the loop serves."""
+    """What the loop serves: a subscription, a client or a server.
+
+    Attributes:
+        kind: as rclpy's wait sets name it: ``subscription``, ``client`` or ``service``.
+    """
+
+    kind: ClassVar[str] = "subscription"
 
     @property
     def handle(self) -> Any:
-        """Rclpy's inner subscription."""
+        """Rclpy's inner object."""
 
     @property
     def pointer(self) -> int:
-        """``rcl_subscription_t *``."""
+        """``rcl_subscription_t *``, or of its kind."""
+
+    def wake(self, descriptor: int | None) -> None:
+        """Have each new message counted in an eventfd; None ends it."""
 
     def drain(self, taker: rcl.Taker, limit: int) -> bool:
         """Take and deliver up to ``limit`` messages; whether there may be more."""
@@ -77,7 +86,7 @@ class TakeLoop(Loop):
         descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._readers[descriptor] = reader
         self._epoll.register(descriptor, select.EPOLLIN)
-        rcl.wake_by_eventfd(reader.pointer, descriptor)
+        reader.wake(descriptor)
 
     def remove(self, reader: Reader) -> None:
         """Stop serving a reader and destroy it, on the loop's thread and soon."""
@@ -129,7 +138,7 @@ class TakeLoop(Loop):
     def _drop(self, reader: Reader) -> None:
         for descriptor, known in list(self._readers.items()):
             if known is reader:
-                rcl.wake_by_eventfd(reader.pointer, None)
+                reader.wake(None)
                 del self._readers[descriptor]
                 self._epoll.unregister(descriptor)
                 os.close(descriptor)

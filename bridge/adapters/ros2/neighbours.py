@@ -72,12 +72,7 @@ class Neighbours:
         self._stranger()
 
     def _has_process(self, prefix: bytes) -> bool:
-        try:
-            largest = int((self._proc / "sys/kernel/pid_max").read_text())
-        except (OSError, ValueError):
-            largest = 1 << 22
-        pids = range(int.from_bytes(prefix[_PID], "little"), largest + 1, 1 << 16)
-        return any(_shares_memory(self._proc / str(pid)) for pid in pids)
+        return any(map(shares_memory, with_low_half(self._proc, int.from_bytes(prefix[_PID], "little"))))
 
     def close(self) -> None:
         """Watch no more."""
@@ -90,7 +85,17 @@ class Neighbours:
                 timer.join()
 
 
-def _shares_memory(process: Path) -> bool:
+def with_low_half(proc: Path, low: int) -> list[Path]:
+    """Where the processes would be in the process table whose ids have this low half."""
+    try:
+        largest = int((proc / "sys/kernel/pid_max").read_text())
+    except (OSError, ValueError):
+        largest = 1 << 22
+    return [proc / str(pid) for pid in range(low, largest + 1, 1 << 16)]
+
+
+def shares_memory(process: Path) -> bool:
+    """Whether a process is our user's, has Fast DDS loaded, and has the same /dev/shm."""
     try:
         if process.stat().st_uid != os.geteuid():
             return False

@@ -15,6 +15,7 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from bridge.adapters.ros2.qos import to_rclpy
+from bridge.adapters.ros2.service_names import service_of
 from bridge.hub.qos import Qos
 from bridge.messages.errors import MessageTypeError
 
@@ -79,16 +80,41 @@ class Participant:
         with self._lock, _explained(topic, message_class):
             return _rclpy.Subscription(self._node, message_class, topic, to_rclpy(qos))
 
+    def service_topics(self) -> list[tuple[str, str]]:
+        """All services on the graph: each one's name and its requests' DDS topic."""
+        raw = _rclpy.rclpy_get_topic_names_and_types(self._node, True)
+        return [(service, topic) for topic, _types in raw if (service := service_of(topic))]
+
+    def writers(self, dds_topic: str) -> Sequence[Mapping[str, Any]]:
+        """A DDS topic's writers, in rclpy's words."""
+        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_publishers_info_by_topic(self._node, dds_topic, True)
+        return found
+
+    def readers(self, dds_topic: str) -> Sequence[Mapping[str, Any]]:
+        """A DDS topic's readers, in rclpy's words."""
+        found: list[Mapping[str, Any]] = _rclpy.rclpy_get_subscriptions_info_by_topic(self._node, dds_topic, True)
+        return found
+
+    def make_client(self, service_class: Any, service: str, qos: Qos) -> Any:
+        """A client; it has ``pointer``, ``rcl_client_t *``."""
+        with self._lock, _explained(service, service_class):
+            return _rclpy.Client(self._node, service_class, service, to_rclpy(qos))
+
+    def make_server(self, service_class: Any, service: str, qos: Qos) -> Any:
+        """A server; it has ``pointer``, ``rcl_service_t *``."""
+        with self._lock, _explained(service, service_class):
+            return _rclpy.Service(self._node, service_class, service, to_rclpy(qos))
+
     def make_guard_condition(self) -> Any:
         """A guard condition of ours."""
         return _rclpy.GuardCondition(self._context.handle)
 
-    def make_wait_set(self, subscriptions: int, guard_conditions: int) -> Any:
+    def make_wait_set(self, guard_conditions: int, subscriptions: int = 0, clients: int = 0, services: int = 0) -> Any:
         """A wait set with room for so many."""
-        return _rclpy.WaitSet(subscriptions, guard_conditions, 0, 0, 0, 0, self._context.handle)
+        return _rclpy.WaitSet(subscriptions, guard_conditions, 0, clients, services, 0, self._context.handle)
 
     def destroy(self, entity: Any) -> None:
-        """Give a writer, a reader or a guard condition back."""
+        """Give an endpoint or a guard condition back."""
         with self._lock:
             entity.destroy_when_not_in_use()
 

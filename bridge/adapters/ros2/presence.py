@@ -100,6 +100,10 @@ class Presence(Reader):
         """Whether all participants that were there at that time are seen by now."""
         return time.monotonic() > max(since, self._since) + DISCOVERY_SECONDS
 
+    def wake(self, descriptor: int | None) -> None:
+        """See `Reader`."""
+        rcl.wake_by_eventfd(self._pointer, descriptor)
+
     def drain(self, taker: rcl.Taker, limit: int) -> bool:
         """See `Reader`."""
         for _ in range(limit):

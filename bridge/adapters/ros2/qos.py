@@ -58,3 +58,8 @@ def mismatch(offered: Qos, requested: Qos) -> str:
     if requested.deadline_ns is not None and (offered.deadline_ns or _LONGEST_NS) > requested.deadline_ns:
         reasons.append("a longer deadline is offered than is asked for")
     return " and ".join(reasons)
+
+
+SERVICE = Qos(depth=2000)
+"""Of our clients and servers: a peer sees ROS 2's own profile for services, and we have room for twice the calls that
+may be under way at once."""

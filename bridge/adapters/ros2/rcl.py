@@ -90,12 +90,17 @@ _rcutils.rcutils_reset_error.argtypes = []
 _rcutils.rcutils_reset_error.restype = None
 
 
+def reset_error() -> None:
+    """Have rcl forget the text of the last error of this thread."""
+    _rcutils.rcutils_reset_error()
+
+
 class RclError(RuntimeError):
     """A call into rcl failed."""
 
     def __init__(self, call: str, code: int) -> None:
         super().__init__(f"{call} failed with code {code} (rcl/types.h)")
-        _rcutils.rcutils_reset_error()
+        reset_error()
 
 
 class Taken(NamedTuple):
@@ -127,7 +132,7 @@ class Taker:
         take = (_rcl if large else _rcl_held).rcl_take_serialized_message
         code = take(subscription, self._bytes_ref, self._info, None)
         if code != RET_OK:
-            _rcutils.rcutils_reset_error()
+            reset_error()
             if code == RET_TAKE_FAILED:
                 return None
             raise RclError("rcl_take_serialized_message", code)

@@ -190,6 +190,10 @@ class ClassReader(Reader):
         """See `Reader`."""
         return self._pointer
 
+    def wake(self, descriptor: int | None) -> None:
+        """See `Reader`."""
+        rcl.wake_by_eventfd(self._pointer, descriptor)
+
     def drain(self, taker: rcl.Taker, limit: int) -> bool:
         """See `Reader`."""
         owner = self._owner

@@ -16,21 +16,23 @@ import ctypes
 import re
 import threading
 from ctypes import CFUNCTYPE, Structure, addressof, c_bool, c_char_p, c_size_t, c_uint8, c_uint32, c_void_p
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 from bridge.messages.errors import MessageTypeError
 
 _NAME = re.compile(r"^([A-Za-z][A-Za-z0-9_]*)/(msg|srv|action)/([A-Za-z][A-Za-z0-9_]*)$")
 _HASH = re.compile(r"^RIHS01_([0-9a-f]{64})$")
-_DISPATCH = b"rosidl_typesupport_c"
-_FAST_DDS = b"rosidl_typesupport_fastrtps_c"
-_INTROSPECTION = b"rosidl_typesupport_introspection_c"
+DISPATCH = b"rosidl_typesupport_c"
+FAST_DDS = b"rosidl_typesupport_fastrtps_c"
+INTROSPECTION = b"rosidl_typesupport_introspection_c"
 
-_find = CFUNCTYPE(c_void_p, c_void_p, c_char_p)
-_get = CFUNCTYPE(c_void_p, c_void_p)
+FindSupport = CFUNCTYPE(c_void_p, c_void_p, c_char_p)
+GetHash = CFUNCTYPE(c_void_p, c_void_p)
 
 
-class _TypeSupport(Structure):
+class TypeSupport(Structure):
+    """``rosidl_message_type_support_t``."""
+
     _fields_ = [
         ("identifier", c_char_p),
         ("data", c_void_p),
@@ -60,7 +62,9 @@ class _Members(Structure):
     ]
 
 
-class _Hash(Structure):
+class TypeHash(Structure):
+    """``rosidl_type_hash_t``."""
+
     _fields_ = [("version", c_uint8), ("value", c_uint8 * 32)]
 
 
@@ -69,7 +73,12 @@ _python.PyCapsule_New.argtypes = [c_void_p, c_char_p, c_void_p]
 _python.PyCapsule_New.restype = ctypes.py_object
 
 
-class _Lender:
+def make_capsule(pointer: int) -> Any:
+    """A pointer as rclpy's classes hold theirs."""
+    return _python.PyCapsule_New(pointer, None, None)
+
+
+class Lender:
     """The type support whose functions the made ones borrow."""
 
     def __init__(self) -> None:
@@ -77,35 +86,69 @@ class _Lender:
         lend = library.rosidl_typesupport_c__get_message_type_support_handle__rcl_interfaces__msg__Log
         lend.argtypes, lend.restype = [], c_void_p
         pointer = lend()
-        self.dispatch = _TypeSupport.from_address(pointer)
-        find = _find(self.dispatch.find)
-        self.fast_dds = _TypeSupport.from_address(find(pointer, _FAST_DDS))
-        self.introspection = _TypeSupport.from_address(find(pointer, _INTROSPECTION))
+        self.dispatch = TypeSupport.from_address(pointer)
+        find = FindSupport(self.dispatch.find)
+        self.fast_dds = TypeSupport.from_address(find(pointer, FAST_DDS))
+        self.introspection = TypeSupport.from_address(find(pointer, INTROSPECTION))
         self.callbacks = _FastDdsCallbacks.from_address(self.fast_dds.data)
         self.members = _Members.from_address(self.introspection.data)
 
 
-class _Support:
+class TypeName(NamedTuple):
+    """``package/folder/Name``, and the 32 bytes of the type's hash."""
+
+    package: str
+    folder: str
+    name: str
+    digest: bytes
+
+    def __str__(self) -> str:
+        return f"{self.package}/{self.folder}/{self.name}"
+
+    @classmethod
+    def parse(cls, type_name: str, type_hash: str) -> TypeName:
+        """Take both apart; raises `MessageTypeError`."""
+        name, digest = _NAME.match(type_name), _HASH.match(type_hash)
+        if name is None:
+            raise MessageTypeError(f"{type_name!r} is not the name of a ROS 2 type (package/msg/Name)")
+        if digest is None:
+            raise MessageTypeError(f"{type_name}: {type_hash!r} is not a type hash (RIHS01_ and 64 hex digits)")
+        return cls(name[1], name[2], name[3], bytes.fromhex(digest[1]))
+
+
+class Serializers(Protocol):
+    """Addresses of functions that rmw is to call for messages, in the form of message_type_support.h."""
+
+    serialize: int
+    deserialize: int
+    size: int
+
+
+class Support:
     """One type's structures; they must live as long as any endpoint of the type."""
 
-    def __init__(self, lender: _Lender, package: str, folder: str, name: str, digest: bytes) -> None:
-        self._hash = _Hash(1, (c_uint8 * 32)(*digest))
+    def __init__(self, lender: Lender, of: TypeName, serializers: Serializers | None = None) -> None:
+        self._hash = TypeHash(1, (c_uint8 * 32)(*of.digest))
         self._callbacks = _FastDdsCallbacks.from_buffer_copy(lender.callbacks)
-        self._callbacks.namespace = f"{package}::{folder}".encode()
-        self._callbacks.name = name.encode()
+        self._callbacks.namespace = f"{of.package}::{of.folder}".encode()
+        self._callbacks.name = of.name.encode()
+        if serializers is not None:
+            self._callbacks.serialize = serializers.serialize
+            self._callbacks.deserialize = serializers.deserialize
+            self._callbacks.serialized_size = serializers.size
         self._members = _Members.from_buffer_copy(lender.members)
-        self._members.namespace = f"{package}__{folder}".encode()
-        self._members.name = name.encode()
-        self._find = _find(self._by_identifier)
-        self._get_hash = _get(lambda _handle: addressof(self._hash))
+        self._members.namespace = f"{of.package}__{of.folder}".encode()
+        self._members.name = of.name.encode()
+        self._find = FindSupport(self._by_identifier)
+        self._get_hash = GetHash(lambda _handle: addressof(self._hash))
         self._handles = {
-            _DISPATCH: self._handle(lender.dispatch, None),
-            _FAST_DDS: self._handle(lender.fast_dds, addressof(self._callbacks)),
-            _INTROSPECTION: self._handle(lender.introspection, addressof(self._members)),
+            DISPATCH: self._handle(lender.dispatch, None),
+            FAST_DDS: self._handle(lender.fast_dds, addressof(self._callbacks)),
+            INTROSPECTION: self._handle(lender.introspection, addressof(self._members)),
         }
 
-    def _handle(self, lent: _TypeSupport, data: int | None) -> _TypeSupport:
-        handle = _TypeSupport.from_buffer_copy(lent)
+    def _handle(self, lent: TypeSupport, data: int | None) -> TypeSupport:
+        handle = TypeSupport.from_buffer_copy(lent)
         handle.data = data
         handle.find = ctypes.cast(self._find, c_void_p).value
         handle.type_hash = ctypes.cast(self._get_hash, c_void_p).value
@@ -118,7 +161,16 @@ class _Support:
     @property
     def pointer(self) -> int:
         """``rosidl_message_type_support_t *`` that dispatches to the others."""
-        return addressof(self._handles[_DISPATCH])
+        return self.handle(DISPATCH)
+
+    @property
+    def members(self) -> int:
+        """``rosidl_typesupport_introspection_c__MessageMembers *``."""
+        return addressof(self._members)
+
+    def handle(self, identifier: bytes) -> int:
+        """``rosidl_message_type_support_t *`` of one implementation."""
+        return addressof(self._handles[identifier])
 
 
 class TypeSupports:
@@ -126,9 +178,9 @@ class TypeSupports:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._lender: _Lender | None = None
+        self._lender: Lender | None = None
         self._classes: dict[tuple[str, str], Any] = {}
-        self._supports: list[_Support] = []
+        self._supports: list[Support] = []
 
     def message_class(self, type_name: str, type_hash: str) -> Any:
         """A class that rclpy's publishers and raw subscriptions accept; raises `MessageTypeError`.
@@ -144,17 +196,13 @@ class TypeSupports:
             return found
 
     def _make(self, type_name: str, type_hash: str) -> Any:
-        name, digest = _NAME.match(type_name), _HASH.match(type_hash)
-        if name is None:
-            raise MessageTypeError(f"{type_name!r} is not the name of a ROS 2 message (package/msg/Name)")
-        if digest is None:
-            raise MessageTypeError(f"{type_name}: {type_hash!r} is not a type hash (RIHS01_ and 64 hex digits)")
+        name = TypeName.parse(type_name, type_hash)
         if self._lender is None:
-            self._lender = _Lender()
-        support = _Support(self._lender, name[1], name[2], name[3], bytes.fromhex(digest[1]))
+            self._lender = Lender()
+        support = Support(self._lender, name)
         self._supports.append(support)
-        capsule = _python.PyCapsule_New(support.pointer, None, None)
+        capsule = make_capsule(support.pointer)
         # rclpy looks at the class's class; the four functions convert message objects, which raw use never has.
         converters = ("_CREATE_ROS_MESSAGE", "_CONVERT_FROM_PY", "_CONVERT_TO_PY", "_DESTROY_ROS_MESSAGE")
         meta = type("RawType", (type,), {"_TYPE_SUPPORT": capsule, **dict.fromkeys(converters, True)})
-        return meta(name[3], (), {"__slots__": (), "type_name": type_name})
+        return meta(name.name, (), {"__slots__": (), "type_name": type_name})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
+from collections import Counter, deque
 from typing import Any
 
 from bridge.adapters.ros2 import rcl
@@ -16,6 +16,7 @@ from bridge.adapters.ros2.loop import TAKES_PER_TURN, Loop, Reader
 from bridge.adapters.ros2.participant import Participant
 
 _POLL_NS = 1_000_000_000
+_KINDS = ("subscription", "client", "service")
 
 _log = logging.getLogger(__name__)
 
@@ -63,20 +64,22 @@ class WaitSetLoop(Loop):
         taker = rcl.Taker()
         try:
             with self._guard:
-                wait_set = self._participant.make_wait_set(0, 1)
+                wait_set = self._participant.make_wait_set(1)
                 while not self._stopping:
                     if self._apply_changes():
-                        wait_set = self._participant.make_wait_set(len(self._readers), 1)
+                        kinds = Counter(reader.kind for reader in self._readers.values())
+                        wait_set = self._participant.make_wait_set(1, *(kinds[kind] for kind in _KINDS))
                     self._wait(wait_set)
-                    for pointer in wait_set.get_ready_entities("subscription"):
-                        self._serve(pointer, taker)
+                    for kind in _KINDS:
+                        for pointer in wait_set.get_ready_entities(kind):
+                            self._serve(pointer, taker)
         finally:
             taker.close()
 
     def _wait(self, wait_set: Any) -> None:
         wait_set.clear_entities()
         for reader in self._readers.values():
-            wait_set.add_subscription(reader.handle)
+            getattr(wait_set, f"add_{reader.kind}")(reader.handle)
         wait_set.add_guard_condition(self._guard)
         wait_set.wait(_POLL_NS)
 

@@ -105,6 +105,8 @@ def test_network_is_the_marked_prefix(edge: RunningEdge) -> None:
 
 
 def test_hidden_names() -> None:
-    assert is_hidden("/fibonacci/_action/feedback")
     assert is_hidden("/_private")
+    assert is_hidden("/_private/_action/feedback")
+    assert is_hidden("/fibonacci/_action/other")
+    assert not is_hidden("/fibonacci/_action/feedback")
     assert not is_hidden("/a_b/c_")

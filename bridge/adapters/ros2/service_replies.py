@@ -1,0 +1,123 @@
+"""The replies to one client, sent no faster than it takes them.
+
+A client keeps the last 10 replies that it has not taken; see `bridge.adapters.ros2.service_window`. One that has few
+calls under way cannot have more replies than those before it, and gets each at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from bridge.adapters.ros2.service_later import Later
+from bridge.adapters.ros2.service_rcl import RequestId
+from bridge.adapters.ros2.service_window import ROOM
+
+_REPLY_SECONDS = 0.001
+"""Time that a client is given to take a reply, where it asked for many; rclpy's take some 0.15 ms."""
+
+_TRIES = 20
+_TRY_SECONDS = 0.1
+"""A client that asks is found by us a moment later, sometimes: rmw itself waits as long for it, and then gives up."""
+
+_log = logging.getLogger(__name__)
+
+
+class Replies:
+    """The replies to one client.
+
+    Args:
+        write: sends a reply; False where the client cannot be reached yet.
+        later: what sends the replies that have to wait.
+    """
+
+    def __init__(self, write: Callable[[RequestId, bytes], bool], later: Later) -> None:
+        self._write, self._later = write, later
+        self._lock = threading.Lock()
+        self._outbox: deque[tuple[RequestId, bytes]] = deque()
+        self._asked = 0
+        self._credit = float(ROOM)
+        self._last = time.monotonic()
+        self._tries = 0
+        self._reached = self._sending = False
+
+    @property
+    def busy(self) -> bool:
+        """Whether calls of the client are under way."""
+        return bool(self._asked or self._outbox)
+
+    def asked(self, backlog: int) -> None:
+        """A request came, with so many that wait to be taken."""
+        with self._lock:
+            self._asked += 1
+            if max(backlog, self._asked + len(self._outbox)) <= ROOM:
+                self._credit = float(ROOM)
+
+    def unanswered(self) -> None:
+        """A request has no reply."""
+        with self._lock:
+            self._asked -= 1
+
+    def send(self, request: RequestId, payload: bytes) -> None:
+        """Send a reply, now or soon.
+
+        The first one to a client may have to wait for it, and that is not for the thread that brings the reply.
+        """
+        with self._lock:
+            self._asked -= 1
+            self._outbox.append((request, payload))
+            if self._sending:
+                return
+            self._sending = True
+            if not self._reached:
+                self._later.after(0.0, self._go_on)
+                return
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Send what may be sent; one thread at a time."""
+        while True:
+            with self._lock:
+                if not self._outbox:
+                    self._sending = False
+                    return
+                wait = self._wait()
+                if wait:
+                    self._later.after(wait, self._go_on)
+                    return
+                request, payload = self._outbox.popleft()
+            if self._write(request, payload):
+                self._reached = True
+            elif self._waits(request, payload):
+                return
+
+    def _wait(self) -> float:
+        """Seconds until the next may be sent, 0 for now, and then it counts as sent."""
+        now = time.monotonic()
+        self._credit = min(float(ROOM), self._credit + (now - self._last) / _REPLY_SECONDS)
+        self._last = now
+        if self._credit < 1:
+            return (1 - self._credit) * _REPLY_SECONDS
+        self._credit -= 1
+        return 0.0
+
+    def _waits(self, request: RequestId, payload: bytes) -> bool:
+        """Give a client that cannot be reached some time; False when it had enough."""
+        with self._lock:
+            self._tries += 1
+            if self._tries < _TRIES:
+                self._outbox.appendleft((request, payload))
+                self._later.after(_TRY_SECONDS, self._go_on)
+                return True
+        _log.warning("a ROS 2 client could not be reached with its reply")
+        return False
+
+    def flush(self) -> None:
+        """Send at once what is there."""
+        with self._lock:
+            rest, self._outbox = list(self._outbox), deque()
+        for request, payload in rest:
+            self._write(request, payload)

@@ -1,0 +1,227 @@
+"""A server on the DDS network that hands its requests over and sends what comes back."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar
+
+from bridge.adapters.base import EdgeServer
+from bridge.adapters.ros2 import rcl, service_rcl
+from bridge.adapters.ros2.loop import Reader
+from bridge.adapters.ros2.mark import PREFIX_BYTES, is_marked
+from bridge.adapters.ros2.qos import SERVICE
+from bridge.adapters.ros2.service_bytes import ENCAPSULATION
+from bridge.adapters.ros2.service_parts import Parts
+from bridge.adapters.ros2.service_rcl import RequestId
+from bridge.adapters.ros2.service_replies import Replies
+from bridge.hub.call import Abandon, Call, CallError
+
+_LOOK = 0.5
+_MOST_CLIENTS = 1000
+_LOG_SECONDS = 10.0
+
+_log = logging.getLogger(__name__)
+
+Refusal = Callable[[], bytes]
+"""Gives the reply by which a service of its kind says no."""
+
+
+class _Asked:
+    """One request that waits for its reply."""
+
+    __slots__ = ("abandon", "id", "left", "seen")
+
+    def __init__(self, request: RequestId) -> None:
+        self.id = request
+        self.abandon: Abandon | None = None
+        self.seen = self.left = False
+
+
+class Ros2Server(Reader, EdgeServer):
+    """An rcl service.
+
+    A DDS client cannot be told that its call failed. Where the service's type has a reply that says no (``refusal``)
+    it gets that, else nothing, and the log says why.
+    """
+
+    kind: ClassVar[str] = "service"
+
+    def __init__(
+        self,
+        name: str,
+        service_class: Any,
+        call: Call,
+        refusal: Refusal | None,
+        parts: Parts,
+        closed: Callable[[Ros2Server], None],
+    ) -> None:
+        self.name, self.type_name = name, str(service_class.type_name)
+        self._call, self._refusal = call, refusal
+        self._participant, self._loop, self._graph = parts.participant, parts.loop, parts.graph
+        self._later, self._lives, self._on_closed = parts.later, parts.lives, closed
+        self._taker = service_rcl.CallTaker()
+        self._lock = threading.Lock()
+        self._asked: dict[RequestId, _Asked] = {}
+        self._clients: dict[bytes, Replies] = {}
+        self._looking = self._closed = False
+        self._complained = float("-inf")
+        self._handle = parts.participant.make_server(service_class, name, SERVICE)
+        # Held until `destroy`, so that the pointer stays good whatever thread closes the server.
+        self._handle.__enter__()
+        self._pointer = int(self._handle.pointer)
+        self._alive = threading.Lock()
+        self._destroyed = False
+        self._loop.add(self)
+
+    @property
+    def handle(self) -> Any:
+        """See `Reader`."""
+        return self._handle
+
+    @property
+    def pointer(self) -> int:
+        """See `Reader`."""
+        return self._pointer
+
+    def wake(self, descriptor: int | None) -> None:
+        """See `Reader`."""
+        service_rcl.wake_by_requests(self._pointer, descriptor)
+
+    def drain(self, _taker: rcl.Taker, limit: int) -> bool:
+        """See `Reader`."""
+        for _ in range(limit):
+            taken = self._taker.request(self._pointer)
+            # A client that Midspan made means the native server of the name; DDS gives its request to all.
+            if taken is not None and not is_marked(taken[0].gid):
+                self._begin(*taken, limit)
+        return True
+
+    def _begin(self, request: RequestId, payload: bytes, backlog: int) -> None:
+        asked = _Asked(request)
+        with self._lock:
+            if self._closed:
+                return
+            self._asked[request] = asked
+            self._client(request.gid).asked(backlog)
+            self._look_soon()
+        try:
+            abandon = self._call(payload, partial(self._answer, asked))
+        except Exception:
+            _log.exception("%s: beginning a call failed", self.name)
+            self._answer(asked, CallError("the bridge failed"))
+            return
+        with self._lock:
+            asked.abandon, left = abandon, asked.left
+        if left:
+            abandon()
+
+    def _answer(self, asked: _Asked, result: bytes | CallError) -> None:
+        with self._lock:
+            if self._asked.pop(asked.id, None) is None:
+                return
+            client = self._client(asked.id.gid)
+        if isinstance(result, CallError) or result[: len(ENCAPSULATION)] != ENCAPSULATION:
+            why = str(result) if isinstance(result, CallError) else "the reply is no little-endian CDR"
+            refusal = self._refuse(why)
+            if refusal is None:
+                client.unanswered()
+                return
+            result = refusal
+        client.send(asked.id, result)
+
+    def _client(self, gid: bytes) -> Replies:
+        found = self._clients.get(gid)
+        if found is None:
+            if len(self._clients) >= _MOST_CLIENTS:
+                self._clients = {gid: client for gid, client in self._clients.items() if client.busy}
+            found = self._clients[gid] = Replies(self._write, self._later)
+        return found
+
+    def _refuse(self, why: str) -> bytes | None:
+        told = self._refusal() if self._refusal is not None else None
+        if time.monotonic() - self._complained > _LOG_SECONDS:
+            self._complained = time.monotonic()
+            how = (
+                "its client was told no" if told is not None else "ROS 2 has no way to tell its client, which waits on"
+            )
+            _log.warning("a call of %s failed: %s; %s", self.name, why, how)
+        return told
+
+    def _write(self, request: RequestId, payload: bytes) -> bool:
+        """Send a reply; False where its client cannot be reached."""
+        with self._alive:
+            if self._destroyed:
+                return True
+            try:
+                return service_rcl.send_response(self._pointer, request, payload)
+            except rcl.RclError as err:
+                _log.warning("%s: a reply could not be sent: %s", self.name, err)
+                return True
+
+    def refit(self) -> None:
+        """Abandon the calls whose clients have left."""
+        with self._lock:
+            waiting = list(self._asked.values())
+        if not waiting:
+            return
+        there = self._graph.clients(self.name)
+        prefixes = {gid[:PREFIX_BYTES] for gid in there}
+        gone = {prefix for prefix in prefixes if self._lives.is_gone(prefix)}
+        for asked in waiting:
+            if asked.id.gid in there and asked.id.gid[:PREFIX_BYTES] not in gone:
+                asked.seen = True
+            elif asked.seen or asked.id.gid[:PREFIX_BYTES] in gone:
+                self._leave(asked)
+
+    def _leave(self, asked: _Asked) -> None:
+        with self._lock:
+            if self._asked.pop(asked.id, None) is None:
+                return
+            asked.left, abandon = True, asked.abandon
+            self._clients.pop(asked.id.gid, None)
+        if abandon is not None:
+            abandon()
+
+    def _look_soon(self) -> None:
+        if not self._looking:
+            self._looking = True
+            self._later.after(_LOOK, self._look)
+
+    def _look(self) -> None:
+        """Look for clients whose processes have ended, while they wait."""
+        with self._lock:
+            self._looking = False
+            if self._closed or not self._asked:
+                return
+            self._look_soon()
+        self.refit()
+
+    def close(self) -> None:
+        """See `EdgeServer`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            waiting = list(self._asked.values())
+        for asked in waiting:
+            if asked.abandon is not None:
+                asked.abandon()
+            self._answer(asked, CallError(f"{self.name} is not bridged any more"))
+        with self._lock:
+            clients = list(self._clients.values())
+        for client in clients:
+            client.flush()
+        self._loop.remove(self)
+        self._on_closed(self)
+
+    def destroy(self) -> None:
+        """See `Reader`."""
+        with self._alive:
+            self._destroyed = True
+            self._taker.close()
+            self._handle.__exit__(None, None, None)
+            self._participant.destroy(self._handle)
