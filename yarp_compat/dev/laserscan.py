@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from yarp_compat.dev.structure import Structure
+from yarp_compat.dev.structure import Generated
 from yarp_compat.sig.vector import Vector
 
 
 @dataclass
-class LaserScan2D(Structure):
+class LaserScan2D(Generated):
     """One turn of a laser: what it measured, from the first angle to the last.
 
     Attributes:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from yarp_compat.dev.structure import Structure
+from yarp_compat.dev.structure import Generated
 
 
 @dataclass
-class OdometryData(Structure):
+class OdometryData(Generated):
     """Where a base has come to and how fast it is.
 
     Attributes:
@@ -35,7 +35,7 @@ class OdometryData(Structure):
 
 
 @dataclass
-class MobileBaseVelocity(Structure):
+class MobileBaseVelocity(Generated):
     """A velocity to drive at.
 
     Attributes:

@@ -7,9 +7,12 @@ from functools import cache
 from typing import get_type_hints
 
 from yarp_compat.dev.fields import Field, field_of
+from yarp_compat.wire.binary import decode
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.text import to_text
 from yarp_compat.wire.writer import Writer
 
 
@@ -41,6 +44,14 @@ class Structure(Portable):
         source.end()
         for name, value in found.items():
             setattr(self, name, value)
+
+
+class Generated(Structure):
+    """A structure whose C++ class is generated, so that its text is a Bottle's; others have words of their own."""
+
+    def toString(self) -> str:
+        """The fields as a Bottle's text."""
+        return to_text(decode(self.to_bytes(Profile.YARP3), Profile.YARP3))
 
 
 @cache

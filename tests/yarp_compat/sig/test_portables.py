@@ -225,6 +225,12 @@ def test_an_images_lies_are_refused_before_memory_is_taken() -> None:
                 kind.from_bytes(bad)
 
 
+def test_generated_structures_print_as_in_cpp() -> None:
+    """As real 3.12.3 and 4.0 print them."""
+    scan = LaserScan2D(-90, 90, 0.1, 10, Vector([0.5, 1.5, 2.5, 3.5]), 1)
+    assert scan.toString() == "-90.0 90.0 0.100000000000000005551 10.0 (0.5 1.5 2.5 3.5) 1"
+
+
 def test_empty_values_are_written_as_yarp_does_and_read() -> None:
     """Real YARP refuses to read them."""
     for value in (Vector(), VectorInt(), Matrix(), ImageRgb(), FlexImage(), Map2DArea(), Map2DPath(), LaserScan2D()):
