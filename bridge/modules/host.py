@@ -47,10 +47,10 @@ class Host:
                 max_payload=config.limits.message_bytes,
             )
         )
-        self.node = Node(hub, registry, self.loop)
-        self.yarp = Ports(config)
         self.clock = RunClock(simulated=config.clock.simulated)
         follow(self.clock, hub)
+        self.node = Node(hub, registry, self.loop, self.clock)
+        self.yarp = Ports(config)
 
     @property
     def folder(self) -> Path:

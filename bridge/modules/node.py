@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from bridge.clock import RunClock
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Qos
 from bridge.hub.session import Hub
@@ -15,7 +16,10 @@ from bridge.hub.subscription import HubSample, HubSubscription
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import Reader, Writer
+from bridge.modules.action_client import ActionClient
+from bridge.modules.action_server import ActionServer, Cancel, Take
 from bridge.modules.loop import Loop
+from bridge.modules.services import Client, Serve, Server
 from bridge.routing.counters import Counters
 
 _log = logging.getLogger(__name__)
@@ -115,11 +119,12 @@ class Node:
         hub: its session.
         registry: of types.
         loop: the thread on which its callbacks run.
+        clock: the time of its stamps.
     """
 
-    def __init__(self, hub: Hub, registry: Registry, loop: Loop) -> None:
-        self.hub, self.registry, self.loop = hub, registry, loop
-        self._ends: list[Publisher | Subscription] = []
+    def __init__(self, hub: Hub, registry: Registry, loop: Loop, clock: RunClock) -> None:
+        self.hub, self.registry, self.loop, self.clock = hub, registry, loop, clock
+        self._ends: list[Publisher | Subscription | Server | Client] = []
 
     def publisher(self, topic: str, type_name: str, qos: Qos | None = None, *, priority: str = "stream") -> Publisher:
         """Make a publisher; raises `bridge.messages.errors.MessageTypeError` for a type that nobody knows."""
@@ -145,6 +150,26 @@ class Node:
         self._ends.append(made)
         return made
 
+    def server(self, name: str, type_name: str, serve: Serve) -> Server:
+        """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`."""
+        made = Server(self.hub, self.registry, self.loop, name, type_name, serve)
+        self._ends.append(made)
+        return made
+
+    def client(self, name: str, type_name: str) -> Client:
+        """Call a service; raises `bridge.messages.errors.MessageTypeError`."""
+        made = Client(self.hub, self.registry, self.loop, name, type_name)
+        self._ends.append(made)
+        return made
+
+    def action_server(self, name: str, type_name: str, take: Take, cancel: Cancel | None = None) -> ActionServer:
+        """Serve an action (``nav2_msgs/action/NavigateToPose``); raises `bridge.messages.errors.MessageTypeError`."""
+        return ActionServer(self, name, type_name, take, cancel)
+
+    def action_client(self, name: str, type_name: str) -> ActionClient:
+        """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""
+        return ActionClient(self, name, type_name)
+
     def tick(self) -> None:
         """Count rates; called once a second."""
         for end in self._ends:
@@ -156,7 +181,7 @@ class Node:
             {
                 "topic": end.topic,
                 "type": end.type_name,
-                "end": "publisher" if isinstance(end, Publisher) else "subscription",
+                "end": type(end).__name__.lower(),
                 **end.counters.as_dict(),
             }
             for end in self._ends

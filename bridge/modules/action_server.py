@@ -1,0 +1,203 @@
+"""An action that a module serves on the hub (design.ros2.org/articles/actions.html)."""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.goal import CANCEL, STATUSES, Status, parts
+from bridge.modules.services import Answer
+
+if TYPE_CHECKING:
+    from bridge.modules.node import Node
+
+KEPT_SECONDS = 3600.0
+"""How long a result is kept for whoever asks for it."""
+
+MAX_KEPT = 10_000
+MAX_GOALS = 1000
+"""Goals that have not ended, at most; further ones are rejected."""
+
+_NONE, _REJECTED, _UNKNOWN_GOAL, _TERMINATED = 0, 1, 2, 3  # action_msgs/srv/CancelGoal
+
+
+class Goal:
+    """One goal that came. Its methods are called on the module's thread.
+
+    Attributes:
+        id: its 16 bytes.
+        goal: what is asked for.
+        status: its state.
+        cancel_wanted: a client asked for its cancellation.
+    """
+
+    def __init__(self, server: ActionServer, goal_id: bytes, goal: dict[str, Any], stamp: dict[str, int]) -> None:
+        self.id, self.goal, self.stamp = goal_id, goal, stamp
+        self.status = Status.ACCEPTED
+        self.cancel_wanted = False
+        self._server = server
+        self._result: Mapping[str, Any] = {}
+        self._asking: list[Answer] = []
+        self.ended_at: float | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether it has not ended."""
+        return not self.status.terminal
+
+    def execute(self) -> None:
+        """It is being worked on."""
+        self._change(Status.EXECUTING)
+
+    def feedback(self, feedback: Mapping[str, Any]) -> None:
+        """Tell its clients how far it is."""
+        if self.active:
+            self._server.publish_feedback(self.id, feedback)
+
+    def succeed(self, result: Mapping[str, Any] | None = None) -> None:
+        """It was reached."""
+        self._end(Status.SUCCEEDED, result)
+
+    def abort(self, result: Mapping[str, Any] | None = None) -> None:
+        """It cannot be reached."""
+        self._end(Status.ABORTED, result)
+
+    def canceled(self, result: Mapping[str, Any] | None = None) -> None:
+        """It was given up, as a client asked for."""
+        self._end(Status.CANCELED, result)
+
+    def ask(self, answer: Answer) -> None:
+        """Answer with the result, once there is one."""
+        if self.active:
+            self._asking.append(answer)
+        else:
+            answer({"status": int(self.status), "result": self._result})
+
+    def begin_cancel(self) -> None:
+        """A client's cancellation was taken."""
+        self.cancel_wanted = True
+        self._change(Status.CANCELING)
+
+    def _end(self, status: Status, result: Mapping[str, Any] | None) -> None:
+        if not self.active:
+            return
+        self._result = result or {}
+        self.ended_at = time.monotonic()
+        self._change(status)
+        asking, self._asking = self._asking, []
+        for answer in asking:
+            self.ask(answer)
+
+    def _change(self, status: Status) -> None:
+        if self.active:
+            self.status = status
+            self._server.tell_status()
+
+
+Take = Callable[[Goal], bool]
+"""``take(goal)``: whether a goal is accepted; it may be worked on, or end, at once or later."""
+
+Cancel = Callable[[Goal], bool]
+"""``cancel(goal)``: whether its cancellation is begun; the goal is then to end by `Goal.canceled`, or otherwise."""
+
+
+class ActionServer:
+    """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread."""
+
+    def __init__(self, node: Node, name: str, type_name: str, take: Take, cancel: Cancel | None = None) -> None:
+        self.name, self.type_name = name, type_name
+        self._node, self._take, self._cancel = node, take, cancel
+        self._goals: OrderedDict[bytes, Goal] = OrderedDict()
+        self._starting = False
+        names, types = parts(name), parts(type_name, sep="_")
+        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+        self._status = node.publisher(names.status, STATUSES, latched, priority="state")
+        self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
+        node.server(names.get_result, types.get_result, self._asked)
+        node.server(names.cancel_goal, CANCEL, self._cancelled)
+        node.server(names.send_goal, types.send_goal, self._sent)
+
+    @property
+    def active(self) -> list[Goal]:
+        """The goals that have not ended, the oldest first."""
+        return [goal for goal in self._goals.values() if goal.active]
+
+    def publish_feedback(self, goal_id: bytes, feedback: Mapping[str, Any]) -> None:
+        """Tell how far a goal is."""
+        self._feedback.publish({"goal_id": {"uuid": list(goal_id)}, "feedback": feedback})
+
+    def tell_status(self) -> None:
+        """Publish the states of all goals that have not ended or did so lately."""
+        if self._starting:
+            return
+        self._expire()
+        told = list(self._goals.values())[-100:]
+        self._status.publish({"status_list": [{"goal_info": _info(g), "status": int(g.status)} for g in told]})
+
+    def _sent(self, request: dict[str, Any], answer: Answer) -> None:
+        goal_id = bytes(request["goal_id"]["uuid"])
+        stamp = self._node.clock.stamp()
+        if goal_id in self._goals or len(self.active) >= MAX_GOALS:
+            answer({"accepted": False, "stamp": stamp})
+            return
+        goal = self._goals[goal_id] = Goal(self, goal_id, request["goal"], stamp)
+        self._starting = True
+        try:
+            accepted = self._take(goal)
+        except BaseException:
+            del self._goals[goal_id]
+            raise
+        finally:
+            self._starting = False
+        if not accepted:
+            self._goals.pop(goal_id, None)
+        answer({"accepted": accepted, "stamp": stamp})
+        if accepted:
+            self.tell_status()
+
+    def _asked(self, request: dict[str, Any], answer: Answer) -> None:
+        goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
+        if goal is None:
+            answer({"status": int(Status.UNKNOWN), "result": {}})
+        else:
+            goal.ask(answer)
+
+    def _cancelled(self, request: dict[str, Any], answer: Answer) -> None:
+        info = request["goal_info"]
+        goal_id, until = bytes(info["goal_id"]["uuid"]), _nanoseconds(info["stamp"])
+        one = self._goals.get(goal_id)
+        wanted = [g for g in self.active if (until and _nanoseconds(g.stamp) <= until) or g is one]
+        if not any(goal_id) and not until:
+            wanted = self.active
+        begun = [goal for goal in wanted if goal.cancel_wanted or self._begin_cancel(goal)]
+        code = _NONE if begun else _REJECTED
+        if any(goal_id) and not begun:
+            code = _UNKNOWN_GOAL if one is None else _REJECTED if one.active else _TERMINATED
+        answer({"return_code": code, "goals_canceling": [_info(goal) for goal in begun]})
+
+    def _begin_cancel(self, goal: Goal) -> bool:
+        if self._cancel is None or not self._cancel(goal):
+            return False
+        if goal.active:
+            goal.begin_cancel()
+        return True
+
+    def _expire(self) -> None:
+        long_ago = time.monotonic() - KEPT_SECONDS
+        ended = [goal for goal in self._goals.values() if goal.ended_at is not None]
+        surplus = len(ended) - MAX_KEPT
+        for number, goal in enumerate(ended):
+            assert goal.ended_at is not None
+            if goal.ended_at < long_ago or number < surplus:
+                del self._goals[goal.id]
+
+
+def _info(goal: Goal) -> dict[str, Any]:
+    return {"goal_id": {"uuid": list(goal.id)}, "stamp": goal.stamp}
+
+
+def _nanoseconds(stamp: Mapping[str, int]) -> int:
+    return stamp["sec"] * 1_000_000_000 + stamp["nanosec"]

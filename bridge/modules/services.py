@@ -1,0 +1,158 @@
+"""Services of a module's node, with Python values."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from threading import Lock
+from typing import Any
+
+from bridge.hub.call import Abandon, CallError, Done
+from bridge.hub.service import HubClient, HubServer
+from bridge.hub.session import Hub
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from bridge.messages.values import Reader, Writer
+from bridge.modules.loop import Loop
+from bridge.routing.counters import Counters
+
+_log = logging.getLogger(__name__)
+
+MAX_WAITING = 1000
+"""Requests of one server that wait for the module's thread or its answer at most."""
+
+Answer = Callable[[Mapping[str, Any] | CallError], None]
+"""Takes the reply, or an error; once, from any thread."""
+
+Serve = Callable[[dict[str, Any], Answer], Any]
+"""``serve(request, answer)``: runs on the module's thread; the answer may come later."""
+
+Replied = Callable[[dict[str, Any] | CallError], None]
+
+
+class Server:
+    """Serves one service on the hub; made by `bridge.modules.node.Node.server`."""
+
+    def __init__(self, hub: Hub, registry: Registry, loop: Loop, name: str, type_name: str, serve: Serve) -> None:
+        side = registry.service_ros2(type_name)
+        self.topic, self.type_name = name, type_name
+        self.counters = Counters()
+        self._loop, self._serve = loop, serve
+        self._request, self._response = registry.service_schemas(type_name)
+        self._check, _ = registry.hub_service_check(type_name)
+        self._waiting = 0
+        self._lock = Lock()
+        self._end: HubServer = hub.server(name, type_name, side.type_id, self._call)
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._end.close()
+
+    def _call(self, payload: bytes, done: Done) -> Abandon:
+        if self._waiting >= MAX_WAITING:
+            self.counters.dropped("queue")
+            done(CallError(f"{self.topic} is busy: {MAX_WAITING} requests wait for it"))
+            return _nothing
+        try:
+            request = Reader(self._request, self._check(payload)).message()
+        except ConversionError as err:
+            self.counters.dropped("bad")
+            self.counters.failed(str(err))
+            done(CallError(f"{self.topic}: {err}"))
+            return _nothing
+        self.count(1)
+        self.counters.crossed(len(payload))
+        pending = _Pending(self, done)
+        self._loop.post(lambda: self._begin(request, pending))
+        return pending.abandon
+
+    def _begin(self, request: dict[str, Any], pending: _Pending) -> None:
+        if pending.over:
+            return
+        try:
+            self._serve(request, pending.answer)
+        except Exception as err:
+            _log.exception("%s failed", self.topic)
+            pending.answer(CallError(f"{self.topic} failed: {type(err).__name__}: {err}"))
+
+    def encode(self, reply: Mapping[str, Any]) -> bytes | CallError:
+        """A reply's bytes."""
+        try:
+            return Writer(self._response).message(reply)
+        except ConversionError as err:
+            self.counters.failed(str(err))
+            return CallError(f"{self.topic} answered with what is no reply: {err}")
+
+    def count(self, step: int) -> None:
+        """One request more waits, or less."""
+        with self._lock:
+            self._waiting += step
+
+
+class _Pending:
+    """One request that has no answer yet. Safe to use from any thread."""
+
+    def __init__(self, server: Server, done: Done) -> None:
+        self._server, self._done = server, done
+        self._lock = Lock()
+        self.over = False
+
+    def answer(self, reply: Mapping[str, Any] | CallError) -> None:
+        if self._end():
+            self._done(reply if isinstance(reply, CallError) else self._server.encode(reply))
+
+    def abandon(self) -> None:
+        self._end()
+
+    def _end(self) -> bool:
+        with self._lock:
+            over, self.over = self.over, True
+        if not over:
+            self._server.count(-1)
+        return not over
+
+
+class Client:
+    """Calls one service on the hub; made by `bridge.modules.node.Node.client`."""
+
+    def __init__(self, hub: Hub, registry: Registry, loop: Loop, name: str, type_name: str) -> None:
+        side = registry.service_ros2(type_name)
+        self.topic, self.type_name = name, type_name
+        self.counters = Counters()
+        self._loop = loop
+        self._request, self._response = registry.service_schemas(type_name)
+        _, self._check = registry.hub_service_check(type_name)
+        self._end: HubClient = hub.client(name, type_name, side.type_id)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a server to call."""
+        return self._end.ready
+
+    def call(self, request: Mapping[str, Any], replied: Replied) -> Abandon:
+        """Call; ``replied`` gets the reply or an error, once, on the module's thread. Nothing limits how long it takes.
+
+        Raises:
+            ConversionError: the request has an unknown field, or a value that does not fit.
+        """
+        payload = Writer(self._request).message(request)
+        self.counters.crossed(len(payload))
+        return self._end.call(payload, lambda result: self._loop.post(lambda: replied(self._decoded(result))))
+
+    def close(self) -> None:
+        """Call no more; calls under way end with an error."""
+        self._end.close()
+
+    def _decoded(self, result: bytes | CallError) -> dict[str, Any] | CallError:
+        if isinstance(result, CallError):
+            self.counters.failed(str(result))
+            return result
+        try:
+            return Reader(self._response, self._check(result)).message()
+        except ConversionError as err:
+            self.counters.failed(str(err))
+            return CallError(f"{self.topic} answered with what is no reply: {err}")
+
+
+def _nothing() -> None:
+    """The call is over."""
