@@ -72,7 +72,7 @@ class Crossing:
         )
         edge.clock = RunClock(simulated=config.clock.simulated)
         follow(edge.clock, self._hub)
-        self._engine: Engine | None = Engine(edge, self._hub, config.routing, config.name, failed)
+        self._engine: Engine | None = Engine(edge, self._hub, config.routing, config.name, failed, registry)
         self._engine.start()
         verbs = {"status": self._status, "explain": self._explain, "tap": self._tap, "time": self._time}
         self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]

@@ -18,13 +18,19 @@ from bridge.adapters.base import Edge, Endpoint, Kind
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.origin import Origin
 from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
+from bridge.routing.election import Outcome
+from bridge.routing.gate import EntryGate, ExitGate
 from bridge.routing.inward import Inward
 from bridge.routing.joint import Joint
 from bridge.routing.outward import Outward
 from bridge.routing.route import Route
 from bridge.routing.rules import RuleSet
+from bridge.routing.services.inward import ServiceInward
+from bridge.routing.services.outward import ServiceOutward
+from bridge.routing.subject import split
 from bridge.routing.typebook import TypeBook
 from bridge.routing.verdict import Verdict
 from bridge.routing.watch import Watch
@@ -38,6 +44,10 @@ _SHARE, _LONGEST = 1000, 60.0  # nor sooner than after so many times what the la
 _RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
 _STOOD_STILL = 1.0
+_ENDS = {
+    Kind.SUBSCRIPTION: ("topic", "nobody publishes it; {} would listen"),
+    Kind.CLIENT: ("service", "nobody serves it; {} would call"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +57,8 @@ class Summary:
     Attributes:
         network: identity of the side's network, None while it is away.
         routes: how many there are.
-        refused: topics that cannot cross.
-        rate: messages per second over all routes.
+        refused: topics and services that cannot cross.
+        rate: messages and calls per second over all routes.
         standing_by: the daemons that are active on the network in our stead, else "".
         waiting: why nothing crosses yet, else "".
     """
@@ -82,7 +92,13 @@ class Engine:
     """Routes between one edge and the hub."""
 
     def __init__(
-        self, edge: Edge, hub: Hub, routing: RoutingSection, daemon: str, on_failure: Callable[[str], None]
+        self,
+        edge: Edge,
+        hub: Hub,
+        routing: RoutingSection,
+        daemon: str,
+        on_failure: Callable[[str], None],
+        registry: Registry | None = None,
     ) -> None:
         self.edge, self.hub = edge, hub
         self._rules = RuleSet(routing)
@@ -98,10 +114,12 @@ class Engine:
         self._types = TypeBook(hub, edge, self.graph_changed)
         small, bulk = (Dispatcher(f"midspan-{edge.side}-{size}") for size in ("small", "bulk"))
         self._watch = Watch(edge, hub, daemon, self._wake.set)
-        self._joint = Joint(hub, edge, self._pulse, self._watch.lease, self._types, small, bulk, self.graph_changed)
+        lease, wake = self._watch.lease, self.graph_changed
+        self._joint = Joint(hub, edge, self._pulse, lease, self._types, small, bulk, wake, registry)
         self._members: dict[str, Callable[[], None]] = {}
         self._term = 0
-        self._inward, self._outward = Inward(self._joint), Outward(self._joint, daemon)
+        self._inward, self._outward = Inward(self._joint), Outward(self._joint)
+        self._services = ServiceInward(self._joint), ServiceOutward(self._joint)
         self._closers: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name=f"midspan-{edge.side}-engine", daemon=True)
 
@@ -128,8 +146,8 @@ class Engine:
         self._types.close()
         self._joint.small.stop()
         self._joint.bulk.stop()
-        self._inward.close()
-        self._outward.close()
+        for follower in (*self._services, self._inward, self._outward):
+            follower.close()
         self._watch.stop()
         self.edge.stop()
 
@@ -192,17 +210,40 @@ class Engine:
         rules, verdicts, outcome = self._rules, list[Verdict](), self._watch.outcome
         if not outcome.active or outcome.term != self._term:
             why = f"standing by: {outcome.holder} is active on this network" if outcome.holder else outcome.waiting
-            self._inward.rest(verdicts, why)
-            self._outward.rest(verdicts, why)
+            self._rest(verdicts, why)
             self._term = outcome.term
         self._tell_members(outcome.members if outcome.active else frozenset())
         if outcome.active:
             verdicts.clear()
-            if network is not None:
-                self._inward.follow(rules, verdicts)
-            self._outward.follow(rules, verdicts, outcome)
+            self._follow(rules, verdicts, outcome, network)
         with self._lock:
             self._verdicts = verdicts
+
+    def _rest(self, verdicts: list[Verdict], why: str) -> None:
+        """Have no routes."""
+        inward, outward = self._services
+        endpoints = self.edge.endpoints()
+        if self.edge.services:
+            inward.rest(endpoints, verdicts, why)
+            outward.rest(verdicts, why)
+        self._inward.rest(endpoints, verdicts, why)
+        self._outward.rest(verdicts, why)
+
+    def _follow(self, rules: RuleSet, verdicts: list[Verdict], outcome: Outcome, network: str | None) -> None:
+        """Make the routes what both graphs, the rules and the election say."""
+        inward, outward = self._services
+        endpoints = self.edge.endpoints()
+        inward.leave(endpoints)
+        outward.leave()
+        if network is not None:
+            entry = EntryGate(rules, self.edge.side, endpoints)
+            self._inward.follow(entry, endpoints, verdicts)
+            if self.edge.services:
+                inward.follow(entry, endpoints, verdicts)
+        leaving = ExitGate(rules, self.edge, self._daemon, self.hub.graph.endpoints())
+        self._outward.follow(leaving, verdicts, outcome)
+        if self.edge.services:
+            outward.follow(leaving, endpoints, verdicts, outcome)
 
     def _tell_members(self, members: frozenset[str]) -> None:
         """Tell on the hub who is on our network, before any endpoint of ours and as long as there may be one."""
@@ -213,6 +254,7 @@ class Engine:
 
     def _change_network(self, network: str | None) -> None:
         _log.info("%s network: %s", self.edge.side, network or "away")
+        self._services[0].close(f"the {self.edge.side} network of the server is away")
         self._inward.close()
         self._network = network
         self.hub.set_origin(Origin(self.edge.side, network, self._daemon) if network is not None else None)
@@ -240,10 +282,11 @@ class Engine:
 
     def routes(self) -> Sequence[Route]:
         """All routes now."""
-        return [*self._inward.routes(), *self._outward.routes()]
+        inward, outward = self._services
+        return [*self._inward.routes(), *self._outward.routes(), *inward.routes(), *outward.routes()]
 
     def verdicts(self) -> list[Verdict]:
-        """What was decided of each topic at the last look."""
+        """What was decided of each topic and service at the last look."""
         with self._lock:
             return list(self._verdicts)
 
@@ -281,16 +324,23 @@ class Engine:
         })  # fmt: skip
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
-        """Everything that was decided of a topic, by its name on the side or on the hub; of all topics for ``""``."""
+        """Everything that was decided of a topic, a service or an action; of all for ``""``.
+
+        It goes by the name on the side and by that on the hub; an action's is that of its five parts.
+        """
         name = topic if topic.startswith("/") or not topic else "/" + topic
-        found = [v.as_dict() for v in self.verdicts() if not name or name in (v.topic, v.hub_topic)]
+
+        def wanted(*names: str) -> bool:
+            return not name or any(name in (each, split(each)[0]) for each in names)
+
+        found = [v.as_dict() for v in self.verdicts() if wanted(v.topic, v.hub_topic)]
         told = {str(entry[key]) for entry in found for key in ("topic", "hub_topic")}
-        heard: dict[str, list[Endpoint]] = defaultdict(list)
+        ends: dict[tuple[Kind, str], list[Endpoint]] = defaultdict(list)
         for endpoint in self.edge.endpoints():
-            wanted = endpoint.topic == name or not name
-            if wanted and endpoint.kind is Kind.SUBSCRIPTION and endpoint.topic not in told:
-                heard[endpoint.topic].append(endpoint)
-        for topic_heard, endpoints in heard.items():
-            nodes = ", ".join(sorted({e.node for e in endpoints}))
-            found.append(Verdict.no_publisher(topic_heard, endpoints[0].type, nodes).as_dict())
+            if endpoint.kind in _ENDS and wanted(endpoint.topic) and endpoint.topic not in told:
+                ends[endpoint.kind, endpoint.topic].append(endpoint)
+        for (kind, name_heard), endpoints in ends.items():
+            of, text = _ENDS[kind]
+            why = text.format(", ".join(sorted({e.node for e in endpoints})))
+            found.append(Verdict.one_ended(name_heard, endpoints[0].type, why, of).as_dict())
         return found

@@ -21,7 +21,16 @@ from bridge.routing.joint import Joint
 from bridge.routing.lane import Lane
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import (
+    BULK,
+    MAX_PENDING,
+    QUEUE_BYTES,
+    QUEUE_DEPTH,
+    RouteKey,
+    TopicRoute,
+    joint_qos,
+    stream_depth,
+)
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -46,7 +55,7 @@ class _Message(NamedTuple):
     time_ns: int | None
 
 
-class InRoute(Route):
+class InRoute(TopicRoute):
     """One topic and type of the side, published on the hub.
 
     Each latched publisher of the side has a hub publisher of its own, so that its last message goes when it goes; the

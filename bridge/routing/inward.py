@@ -1,18 +1,20 @@
-"""The routes from the side into the hub."""
+"""The routes of topics from the side into the hub."""
 
 from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 
 from bridge.adapters.base import Endpoint, Kind, MadeBy
 from bridge.hub.keyexpr import topic_key
+from bridge.routing.gate import EntryGate
 from bridge.routing.guard import TAPS
 from bridge.routing.inroute import InRoute
 from bridge.routing.joint import Joint, attempt, convert
 from bridge.routing.route import RouteKey
-from bridge.routing.rules import Decision, RuleSet
+from bridge.routing.rules import Decision
 from bridge.routing.verdict import Verdict
 
 _MAX_TAPS = 100
@@ -36,16 +38,16 @@ class Inward:
         for key in list(self._routes):
             self._routes.pop(key).close()
 
-    def rest(self, verdicts: list[Verdict], why: str) -> None:
+    def rest(self, endpoints: Sequence[Endpoint], verdicts: list[Verdict], why: str) -> None:
         """Have no routes; one verdict for each topic, which tells why."""
         self.close()
-        found = {(e.topic, e.type) for e in self._joint.edge.endpoints() if e.kind is Kind.PUBLISHER}
+        found = {(e.topic, e.type) for e in endpoints if e.kind is Kind.PUBLISHER}
         verdicts += [Verdict.resting("in", topic, type_name, why) for topic, type_name in sorted(found)]
 
-    def follow(self, rules: RuleSet, verdicts: list[Verdict]) -> None:
+    def follow(self, gate: EntryGate, endpoints: Sequence[Endpoint], verdicts: list[Verdict]) -> None:
         """Make the routes what the side's graph and the rules say; one verdict for each topic."""
         wanted: dict[RouteKey, list[Endpoint]] = defaultdict(list)
-        for endpoint in self._joint.edge.endpoints():
+        for endpoint in endpoints:
             if endpoint.kind is not Kind.PUBLISHER:
                 continue
             if endpoint.made_by is MadeBy.NATIVE:
@@ -55,26 +57,23 @@ class Inward:
         # What is gone makes room first: a side may have one type per topic, and the hub one topic per name.
         for key in [k for k in self._routes if k not in wanted]:
             route = self._routes[key]
-            if route.static and route.decision == self._decide(rules, key):
+            if route.static and route.decision == gate.decide("topic", key.topic, key.type_name):
                 route.update([])
             else:
                 self._routes.pop(key).close()
         taken = {route.hub_topic: key for key, route in self._routes.items()}
-        for key, endpoints in wanted.items():
-            self._follow(key, endpoints, rules, taken, verdicts)
-
-    def _decide(self, rules: RuleSet, key: RouteKey) -> Decision:
-        return rules.enter(self._joint.edge.side, key.topic, _ros2_name(key.type_name))
+        for key, publishers in wanted.items():
+            self._follow(key, publishers, gate, taken, verdicts)
 
     def _follow(
         self,
         key: RouteKey,
         endpoints: list[Endpoint],
-        rules: RuleSet,
+        gate: EntryGate,
         taken: dict[str, RouteKey],
         verdicts: list[Verdict],
     ) -> None:
-        decision = self._decide(rules, key)
+        decision = gate.decide("topic", key.topic, key.type_name)
         hub_topic = self._joint.edge.hub_name(decision.name)
         verdict = Verdict("in", key.topic, hub_topic, key.type_name, decision)
         verdicts.append(verdict)
@@ -131,9 +130,3 @@ class Inward:
                 return {"topic": route.hub_topic, "type": target.name, "hash": target.type_id, "key": key}
             time.sleep(0.02)
         return {}
-
-
-def _ros2_name(type_name: str) -> str:
-    """A type's ROS 2 spelling as far as the name alone tells, for the rules' ``type`` globs."""
-    package, _, name = type_name.partition("/")
-    return type_name if "/" in name or not name else f"{package}/msg/{name}"

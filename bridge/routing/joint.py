@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from bridge.adapters.base import Edge
 from bridge.hub.session import Hub
-from bridge.messages.conversion import Conversion
+from bridge.messages.conversion import Conversion, ServiceConversion
 from bridge.messages.errors import MessageTypeError
+from bridge.messages.registry import Registry
 from bridge.routing.age import Pulse
 from bridge.routing.dispatcher import Dispatcher
 from bridge.routing.lease import Lease
@@ -34,6 +36,7 @@ class Joint:
         small: carries messages from the hub to the side, urgent ones first.
         bulk: the same for large ones.
         wake: has the engine look at the graphs again soon.
+        registry: of types, for the replies that say no.
     """
 
     hub: Hub
@@ -44,9 +47,13 @@ class Joint:
     small: Dispatcher
     bulk: Dispatcher
     wake: Callable[[], None]
+    registry: Registry | None = None
 
 
-def convert(make: Callable[[], Conversion], verdict: Verdict) -> Conversion | None:
+Converts = TypeVar("Converts", Conversion, ServiceConversion)
+
+
+def convert(make: Callable[[], Converts], verdict: Verdict) -> Converts | None:
     """Make a route's conversion; None, and the verdict tells why, where its type cannot cross."""
     try:
         return make()

@@ -50,15 +50,27 @@ class Lane(Generic[Message]):
         with self._condition:
             if self._closed:
                 return
-            self._queue.append((size, message))
-            self._bytes += size
+            self._add(message, size)
             while len(self._queue) > self._depth or (self._bytes > self._room and len(self._queue) > 1):
                 self._bytes -= self._queue.popleft()[0]
                 self._dropped()
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
-            self._condition.notify()
+
+    def offer(self, message: Message, size: int) -> bool:
+        """Queue a message of so many bytes where there is room for it, and make none; whether it was queued."""
+        with self._condition:
+            full = len(self._queue) >= self._depth or (self._queue and self._bytes + size > self._room)
+            if self._closed or full:
+                return False
+            self._add(message, size)
+            return True
+
+    def _add(self, message: Message, size: int) -> None:
+        self._queue.append((size, message))
+        self._bytes += size
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+        self._condition.notify()
 
     def close(self) -> None:
         """Drop what waits, and end the thread. Safe to call twice."""

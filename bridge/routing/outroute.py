@@ -22,7 +22,16 @@ from bridge.routing.backlog import Backlog
 from bridge.routing.joint import Joint
 from bridge.routing.priority import Priority
 from bridge.routing.rate import RateLimit
-from bridge.routing.route import BULK, MAX_PENDING, QUEUE_BYTES, QUEUE_DEPTH, Route, RouteKey, joint_qos, stream_depth
+from bridge.routing.route import (
+    BULK,
+    MAX_PENDING,
+    QUEUE_BYTES,
+    QUEUE_DEPTH,
+    RouteKey,
+    TopicRoute,
+    joint_qos,
+    stream_depth,
+)
 from bridge.routing.rules import Decision
 from bridge.routing.static_tf import TF_TYPE, StaticTransforms
 
@@ -41,7 +50,7 @@ class _Source:
     age: AgeGate
 
 
-class OutRoute(Route):
+class OutRoute(TopicRoute):
     """One topic and type of the hub, published on the side.
 
     Latched hub publishers each stay a source of their own on the side; samples of publishers that the engine did not

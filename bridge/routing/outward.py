@@ -1,31 +1,25 @@
-"""The routes from the hub to the side."""
+"""The routes of topics from the hub to the side."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 
 from bridge.hub.graph import HubEndpoint
-from bridge.hub.origin import Origin
 from bridge.routing.election import Outcome
+from bridge.routing.gate import ExitGate
 from bridge.routing.guard import may_carry, may_leave
 from bridge.routing.joint import Joint, attempt, convert
 from bridge.routing.outroute import OutRoute
 from bridge.routing.route import RouteKey
-from bridge.routing.rules import Decision, RuleSet
+from bridge.routing.rules import Decision
 from bridge.routing.verdict import Verdict
 
 
 class Outward:
-    """Follows the hub's publishers; the engine's loop alone calls it, but for `routes`.
+    """Follows the hub's publishers; the engine's loop alone calls it, but for `routes`."""
 
-    Args:
-        joint: what the routes share.
-        daemon: this daemon's name: the rules of another one let in what comes by it.
-    """
-
-    def __init__(self, joint: Joint, daemon: str) -> None:
+    def __init__(self, joint: Joint) -> None:
         self._joint = joint
-        self._daemon = daemon
         self._routes: dict[tuple[RouteKey, str], OutRoute] = {}
         self._outcome = Outcome()
 
@@ -45,7 +39,7 @@ class Outward:
         found = {(e.topic, e.type_name) for e in publishers}
         verdicts += [Verdict.resting("out", topic, type_name, why) for topic, type_name in sorted(found)]
 
-    def follow(self, rules: RuleSet, verdicts: list[Verdict], outcome: Outcome) -> None:
+    def follow(self, gate: ExitGate, verdicts: list[Verdict], outcome: Outcome) -> None:
         """Make the routes what the hub's graph, the rules and the election say; one verdict for each topic."""
         self._outcome = outcome
         groups: dict[RouteKey, list[HubEndpoint]] = defaultdict(list)
@@ -53,29 +47,25 @@ class Outward:
             if not endpoint.own:
                 groups[RouteKey(endpoint.topic, endpoint.type_name, endpoint.type_hash)].append(endpoint)
         # What is gone makes room first: a side may have one type per topic.
-        self._end([k for k in self._routes if k[0] not in groups], rules)
+        self._end([k for k in self._routes if k[0] not in groups], gate)
         live: set[tuple[RouteKey, str]] = set()
         for key, endpoints in groups.items():
-            self._follow(key, endpoints, rules, live, verdicts)
-        self._end([k for k in self._routes if k[0] in groups and k not in live], rules)
+            self._follow(key, endpoints, gate, live, verdicts)
+        self._end([k for k in self._routes if k[0] in groups and k not in live], gate)
 
-    def _end(self, out_keys: list[tuple[RouteKey, str]], rules: RuleSet) -> None:
+    def _end(self, out_keys: list[tuple[RouteKey, str]], gate: ExitGate) -> None:
         for out_key in out_keys:
-            route = self._routes[out_key]
-            if route.static and route.decision == self._decide(rules, route.origin, out_key[0]):
+            route, key = self._routes[out_key], out_key[0]
+            if route.static and route.decision == gate.decide("topic", route.origin, key.topic, key.type_name):
                 route.update([], [])
             else:
                 self._routes.pop(out_key).close()
-
-    def _decide(self, rules: RuleSet, origin: Origin | None, key: RouteKey) -> Decision:
-        side, elsewhere = ("zenoh", False) if origin is None else (origin.side, origin.daemon != self._daemon)
-        return rules.leave(side, self._joint.edge.side, key.topic, key.type_name, elsewhere=elsewhere)
 
     def _follow(
         self,
         key: RouteKey,
         endpoints: list[HubEndpoint],
-        rules: RuleSet,
+        gate: ExitGate,
         live: set[tuple[RouteKey, str]],
         verdicts: list[Verdict],
     ) -> None:
@@ -89,7 +79,7 @@ class Outward:
             if not may_carry(endpoint, self._outcome):
                 elsewhere.append(endpoint)
                 continue
-            decision = self._decide(rules, endpoint.origin, key)
+            decision = gate.decide("topic", endpoint.origin, key.topic, key.type_name)
             side_topic = decision.name if decision.name != key.topic else self._joint.edge.side_name(key.topic)
             placeless = self._joint.edge.why_not(side_topic, key.type_name)
             if decision.allowed and placeless:

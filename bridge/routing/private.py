@@ -1,4 +1,4 @@
-"""Topics that are private to a side and do not cross unless the configuration says so."""
+"""Topics and services that are private to a side and do not cross unless the configuration says so."""
 
 from __future__ import annotations
 
@@ -20,13 +20,29 @@ _PRIVATE: dict[str, tuple[tuple[re.Pattern[str], str], ...]] = {
         (re.compile(r".*/bond"), "bond, a node's private life sign"),
     ),
 }
-_PRIVATE["zenoh"] = _PRIVATE["zenoh_ros2dds"] = _PRIVATE["ros2"]
-_PRIVATE["zenoh_ros1"] = _PRIVATE["ros1"]
+_OWN_SERVICES: dict[str, tuple[tuple[re.Pattern[str], str], ...]] = {
+    "ros1": (
+        (re.compile(r"roscpp/srv/\w+"), "a node's own loggers"),
+        (re.compile(r"dynamic_reconfigure/srv/\w+"), "dynamic_reconfigure's own"),
+        (re.compile(r"nodelet/srv/\w+"), "a nodelet manager's own"),
+    ),
+    "ros2": (
+        (re.compile(r"rcl_interfaces/srv/\w+"), "a node's own parameters and loggers"),
+        (re.compile(r"type_description_interfaces/srv/\w+"), "a node's own type descriptions"),
+        (re.compile(r"lifecycle_msgs/srv/\w+"), "a lifecycle node's own"),
+        (re.compile(r"composition_interfaces/srv/\w+"), "a component container's own"),
+    ),
+}
+"""Services that each node has for itself, by their types."""
+
+for _private in (_PRIVATE, _OWN_SERVICES):
+    _private["zenoh"] = _private["zenoh_ros2dds"] = _private["ros2"]
+    _private["zenoh_ros1"] = _private["ros1"]
 
 
-def why_private(side: str, topic: str) -> str:
-    """Why a topic is private to its side, "" where it is not."""
-    for pattern, why in _PRIVATE.get(side, ()):
-        if pattern.fullmatch(topic):
-            return why
-    return ""
+def why_private(side: str, name: str, type_name: str, kind: str = "topic") -> str:
+    """Why a topic or a service is private to its side, "" where it is not; ``type_name`` is the type's ROS 2 name."""
+    if kind == "action":
+        return ""
+    patterns, word = (_OWN_SERVICES, type_name) if kind == "service" else (_PRIVATE, name)
+    return next((why for pattern, why in patterns.get(side, ()) if pattern.fullmatch(word)), "")

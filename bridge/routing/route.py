@@ -12,6 +12,7 @@ from bridge.messages.conversion import Conversion
 from bridge.routing.counters import Counters
 from bridge.routing.priority import Priority, default_priority
 from bridge.routing.rules import Decision
+from bridge.routing.subject import split
 
 _log = logging.getLogger(__name__)
 
@@ -51,33 +52,25 @@ class RouteKey:
 
 
 class Route:
-    """One topic that crosses in one direction.
+    """What crosses in one direction under one name: a topic or a service.
 
     ``hub_type`` is the type's ROS 2 name, ``side_type`` its name on the side; ``refused`` says what stands in the way
     of an endpoint that the route needs, "" where it has them all.
     """
 
     direction = ""
+    kind = "topic"
 
     def __init__(
-        self, key: RouteKey, hub_topic: str, side_topic: str, conversion: Conversion, decision: Decision
+        self, key: RouteKey, hub_topic: str, side_topic: str, types: tuple[str, str], decision: Decision
     ) -> None:
         self.key = key
         self.hub_topic = hub_topic
         self.side_topic = side_topic
-        self.conversion = conversion
+        self.hub_type, self.side_type = types
         self.decision = decision
         self.counters = Counters()
         self.refused = ""
-        inwards = self.direction == "in"
-        self.hub_type = conversion.target.name if inwards else conversion.source.name
-        self.side_type = conversion.source.name if inwards else conversion.target.name
-
-    def priority_of(self, *, latched: bool) -> Priority:
-        """The route's class: the rule's, else by type and latching."""
-        if self.decision.priority:
-            return Priority(self.decision.priority)
-        return default_priority(self.hub_topic, self.hub_type, latched=latched)
 
     def status(self) -> dict[str, Any]:
         """The route as it stands in the status document."""
@@ -99,20 +92,42 @@ class Route:
         if self.counters.failed(error):
             _log.warning("%s %s: message refused: %s", self.direction, self.side_topic, error)
 
-    def describe(self, priority: Priority, qos: Qos, sources: int, *, active: bool) -> dict[str, Any]:
-        """The route as it stands in the status document."""
+    def row(self, *, active: bool, sources: int) -> dict[str, Any]:
+        """What every route's part of the status document has."""
         return {
+            "kind": self.kind,
+            "action": split(self.hub_topic)[0],
             "direction": self.direction,
             "topic": self.side_topic,
             "hub_topic": self.hub_topic,
             "type": self.hub_type,
             "side_type": self.side_type,
-            "priority": priority.value,
             "state": "refused" if self.refused else "active" if active else "idle",
             "sources": sources,
-            "qos": qos_text(qos),
             **self.counters.as_dict(),
         }
+
+
+class TopicRoute(Route):
+    """One topic that crosses in one direction."""
+
+    def __init__(
+        self, key: RouteKey, hub_topic: str, side_topic: str, conversion: Conversion, decision: Decision
+    ) -> None:
+        inwards = self.direction == "in"
+        hub, side = (conversion.target, conversion.source) if inwards else (conversion.source, conversion.target)
+        super().__init__(key, hub_topic, side_topic, (hub.name, side.name), decision)
+        self.conversion = conversion
+
+    def priority_of(self, *, latched: bool) -> Priority:
+        """The route's class: the rule's, else by type and latching."""
+        if self.decision.priority:
+            return Priority(self.decision.priority)
+        return default_priority(self.hub_topic, self.hub_type, latched=latched)
+
+    def describe(self, priority: Priority, qos: Qos, sources: int, *, active: bool) -> dict[str, Any]:
+        """The route as it stands in the status document."""
+        return {**self.row(active=active, sources=sources), "priority": priority.value, "qos": qos_text(qos)}
 
 
 def qos_text(qos: Qos) -> str:

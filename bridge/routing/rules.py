@@ -1,11 +1,11 @@
-"""The configuration's rules, compiled: may this topic cross, under which name and how."""
+"""The configuration's rules, compiled: may this topic, service or action cross, under which name and how."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
 from bridge.hub.qos import Durability, Qos, Reliability
@@ -15,15 +15,18 @@ from bridge.routing.private import why_private
 ENTRY = "zenoh"
 """The hub as a destination: rules with ``to: zenoh`` hold where a topic enters the hub."""
 
+Kind = Literal["topic", "service", "action"]
+
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What the rules say of one topic at one gate.
+    """What the rules say of one topic, service or action at one gate.
 
     Attributes:
         allowed: whether it crosses.
         why: the rule or default that decided, for people.
         private: whether it was kept back as private to its side.
+        settled: whether no rule could change it.
         name: the name beyond the gate.
         rate: messages a second at most, None without a limit.
         priority: class forced by the rule, "" for the topic's own.
@@ -36,6 +39,7 @@ class Decision:
     why: str
     name: str
     private: bool = False
+    settled: bool = False
     rate: float | None = None
     priority: str = ""
     depth: int | None = None
@@ -54,32 +58,37 @@ class Decision:
 
 
 class RuleSet:
-    """The rules of a configuration. A topic passes two gates: from its side into the hub, and from there to a side."""
+    """The rules of a configuration.
+
+    A topic, service or action passes two gates: from its side into the hub, and from there to a side.
+    """
 
     def __init__(self, section: RoutingSection) -> None:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
 
-    def enter(self, side: str, topic: str, type_name: str) -> Decision:
-        """May a topic of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
-        matches = list(self._matches(side, topic, type_name))
+    def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> Decision:
+        """May a topic, service or action of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
+        matches = list(self._matches(side, topic, type_name, kind))
         entry = [m for m in matches if m.rule.to in (None, ENTRY)]
         return (
             _denied(entry, topic)
             or _allowed(entry, topic)
             or self._onward(matches, topic)
-            or self._private(side, topic)
+            or self._private(side, topic, type_name, kind)
             or self._default(topic)
         )
 
-    def leave(self, origin: str, side: str, topic: str, type_name: str, *, elsewhere: bool = False) -> Decision:
-        """May a hub topic that came from the side ``origin`` leave the hub to ``side``?
+    def leave(
+        self, origin: str, side: str, topic: str, type_name: str, kind: Kind = "topic", *, elsewhere: bool = False
+    ) -> Decision:
+        """May what came from the side ``origin`` leave the hub to ``side``?
 
         A native hub topic (origin ``zenoh``) has passed no gate yet, so that rules without ``to`` hold for it whole;
         for others such rules were applied at their entry, and only deny, class and QoS hold here too. ``elsewhere``:
         another daemon let it in, whose rules are not these.
         """
-        matches = list(self._matches(origin, topic, type_name))
+        matches = list(self._matches(origin, topic, type_name, kind))
         here = [m for m in matches if m.rule.to == side]
         general = [m for m in matches if m.rule.to is None]
         native = origin == ENTRY
@@ -92,14 +101,14 @@ class RuleSet:
         if matches and self.section.default == "deny":
             return Decision(allowed=False, why="rules allow it to other sides only", name=topic)
         if native:
-            return self._private(origin, topic) or self._default(topic)
+            return self._private(origin, topic, type_name, kind) or self._default(topic)
         if elsewhere and self.section.default == "deny":
             return self._default(topic)
         return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
 
-    def _matches(self, origin: str, topic: str, type_name: str) -> Iterator[_Match]:
+    def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
         for number, (rule, pattern) in enumerate(zip(self.section.rules, self._patterns, strict=True), start=1):
-            if rule.from_ not in (None, origin):
+            if rule.from_ not in (None, origin) or rule.kind not in (None, kind):
                 continue
             if rule.type is not None and not glob_regex(rule.type).fullmatch(type_name):
                 continue
@@ -112,8 +121,8 @@ class RuleSet:
             return Decision(allowed=True, why="a rule lets it leave the hub", name=topic)
         return None
 
-    def _private(self, side: str, topic: str) -> Decision | None:
-        why = why_private(side, topic) if self.section.private else ""
+    def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> Decision | None:
+        why = why_private(side, topic, type_name, kind) if self.section.private else ""
         return Decision(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
 
     def _default(self, topic: str) -> Decision:

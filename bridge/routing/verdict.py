@@ -1,17 +1,21 @@
-"""What was decided of one topic at one gate, with its reason: the matter of ``midspan explain``."""
+"""What was decided of one topic or service at one gate, with its reason: the matter of ``midspan explain``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from bridge.adapters.base import Endpoint, MadeBy
+from bridge.adapters.base import Endpoint, Kind, MadeBy
 from bridge.routing.rules import Decision
+from bridge.routing.subject import split
 
 
 @dataclass(slots=True)
 class Verdict:
-    """One topic, one direction, one decision; refused where rules allow it but something else stands in the way."""
+    """One topic or service, one direction, one decision.
+
+    It is refused where rules allow it but something else stands in the way. ``of`` is ``topic`` or ``service``.
+    """
 
     direction: str
     topic: str
@@ -23,6 +27,7 @@ class Verdict:
     rests: bool = False
     reason: str = ""
     cure: str = field(default="")
+    of: str = "topic"
 
     @classmethod
     def not_native(cls, endpoint: Endpoint) -> Self:
@@ -32,29 +37,30 @@ class Verdict:
         else:
             why = f"it is not known yet who made {endpoint.node or endpoint.id}"
         name = endpoint.topic
-        return cls("in", name, name, endpoint.type, Decision(allowed=False, why=why, name=name), own=why)
+        of = "service" if endpoint.kind in (Kind.SERVER, Kind.CLIENT) else "topic"
+        return cls("in", name, name, endpoint.type, Decision(allowed=False, why=why, name=name), own=why, of=of)
 
     @classmethod
-    def own_network(cls, direction: str, topic: str, type_name: str) -> Self:
-        """A hub topic that came from this very network."""
+    def own_network(cls, direction: str, topic: str, type_name: str, of: str = "topic") -> Self:
+        """What the hub has from this very network."""
         why = "it comes from this very network"
-        return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
+        return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), own=why, of=of)
 
     @classmethod
-    def resting(cls, direction: str, topic: str, type_name: str, why: str) -> Self:
-        """A topic that another daemon carries in our stead, or of which that is not known yet."""
-        return cls(direction, topic, topic, type_name, Decision(allowed=False, why=why, name=topic), rests=True)
+    def resting(cls, direction: str, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
+        """What another daemon carries in our stead, or of which that is not known yet."""
+        decision = Decision(allowed=False, why=why, name=topic)
+        return cls(direction, topic, topic, type_name, decision, rests=True, of=of)
 
     @classmethod
-    def placeless(cls, topic: str, hub_topic: str, type_name: str, why: str) -> Self:
-        """A hub topic that the side has no place for."""
-        return cls("out", topic, hub_topic, type_name, Decision(allowed=False, why=why, name=topic), own=why)
+    def placeless(cls, topic: str, hub_topic: str, type_name: str, why: str, of: str = "topic") -> Self:
+        """What the hub has and the side has no place for."""
+        return cls("out", topic, hub_topic, type_name, Decision(allowed=False, why=why, name=topic), own=why, of=of)
 
     @classmethod
-    def no_publisher(cls, topic: str, type_name: str, nodes: str) -> Self:
-        """A topic with subscriptions only."""
-        why = f"nobody publishes it; {nodes} would listen"
-        return cls("out", topic, topic, type_name, Decision(allowed=True, why=why, name=topic), own=why)
+    def one_ended(cls, topic: str, type_name: str, why: str, of: str = "topic") -> Self:
+        """What has nothing to cross: subscriptions or clients only, or the part of an action that has no others."""
+        return cls("out", topic, topic, type_name, Decision(allowed=True, why=why, name=topic), own=why, of=of)
 
     def refuse(self, reason: str, cure: str) -> None:
         """Something stands in the way."""
@@ -65,7 +71,7 @@ class Verdict:
         """One word: bridged, denied, private, refused, unseen, own or standby."""
         if self.rests:
             return "standby"
-        if self.own:
+        if self.own or self.decision.settled:
             return "unseen" if self.decision.allowed else "own"
         if self.refused:
             return "refused"
@@ -81,6 +87,8 @@ class Verdict:
         elif self.kind == "denied":
             cure = "change the rule, or add one that allows it"
         return {
+            "kind": self.of,
+            "action": split(self.hub_topic)[0],
             "direction": self.direction,
             "topic": self.topic,
             "hub_topic": self.hub_topic,

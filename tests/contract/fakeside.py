@@ -83,7 +83,7 @@ class FakeBridge:
     def __init__(self, network: FakeNetwork, registry: Registry, hubs: HubNetwork, config: Config) -> None:
         self._hub = Hub.open(hubs.settings("midspan_fake"))
         edge = FakeEdge(network, registry)
-        self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed)
+        self._engine = Engine(edge, self._hub, config.routing, config.name, self._failed, registry)
         self._engine.start()
         self._closers = [
             self._hub.serve("status", lambda _: self._engine.status()),

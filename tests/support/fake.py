@@ -9,9 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from bridge.adapters.base import Deliver, Edge, EdgeListener, Endpoint, Kind, MadeBy, Sighting
+from bridge.hub.call import Abandon, Call, CallError, Done
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 
@@ -32,14 +33,26 @@ class Reader:
     deliver: Deliver
 
 
+@dataclass(eq=False)
+class Server:
+    """A server on the fake network."""
+
+    endpoint: Endpoint
+    call: Call
+
+
 class FakeNetwork:
-    """Writers and readers that share a name in memory; latched writers retain one message per source."""
+    """Writers and readers that share a name in memory; latched writers retain one message per source.
+
+    A call goes to the last server of its name.
+    """
 
     def __init__(self) -> None:
         self.identity: str | None = "fake-1"
         self._ids = itertools.count(1)
         self._writers: list[Writer] = []
         self._readers: list[Reader] = []
+        self._servers: list[Server] = []
         self._watchers: list[Callable[[], None]] = []
         self._lock = threading.RLock()
         self.announced: dict[int, Sighting] = {}
@@ -53,11 +66,12 @@ class FakeNetwork:
             self.identity = identity
             self._writers = [w for w in self._writers if w.endpoint.made_by is MadeBy.MIDSPAN]
             self._readers = [r for r in self._readers if r.endpoint.made_by is MadeBy.MIDSPAN]
+            self._servers = [s for s in self._servers if s.endpoint.made_by is MadeBy.MIDSPAN]
         self._changed()
 
     def endpoints(self) -> list[Endpoint]:
         with self._lock:
-            return [w.endpoint for w in self._writers] + [r.endpoint for r in self._readers]
+            return [thing.endpoint for thing in (*self._writers, *self._readers, *self._servers)]
 
     def write_on(self, topic: str, type_: str, qos: Qos, made_by: MadeBy, node: str) -> Writer:
         endpoint = Endpoint(f"w{next(self._ids)}", Kind.PUBLISHER, topic, type_, qos, made_by, node)
@@ -90,10 +104,31 @@ class FakeNetwork:
         for reader in readers:
             reader.deliver(payload, writer.endpoint.id, None)
 
-    def remove(self, thing: Writer | Reader) -> None:
+    def serve(self, name: str, type_: str, made_by: MadeBy, node: str, call: Call) -> Server:
+        endpoint = Endpoint(f"s{next(self._ids)}", Kind.SERVER, name, type_, Qos(), made_by, node)
+        server = Server(endpoint, call)
+        with self._lock:
+            self._servers.append(server)
+        self._changed()
+        return server
+
+    def call(self, name: str, request: bytes, done: Done, *, native: bool = False) -> Abandon:
+        with self._lock:
+            servers = [
+                s
+                for s in self._servers
+                if s.endpoint.topic == name and (not native or s.endpoint.made_by is MadeBy.NATIVE)
+            ]
+        if servers:
+            return servers[-1].call(request, done)
+        done(CallError(f"nobody serves {name}"))
+        return lambda: None
+
+    def remove(self, thing: Writer | Reader | Server) -> None:
         with self._lock:
             self._writers = [w for w in self._writers if w is not thing]
             self._readers = [r for r in self._readers if r is not thing]
+            self._servers = [s for s in self._servers if s is not thing]
         self._changed()
 
     def _changed(self) -> None:
@@ -130,14 +165,36 @@ class _Publisher:
         self.network.remove(self.writer)
 
 
+@dataclass
+class _Server:
+    network: FakeNetwork
+    server: Server
+
+    def close(self) -> None:
+        self.network.remove(self.server)
+
+
+@dataclass
+class _Caller:
+    network: FakeNetwork
+    name: str
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        return self.network.call(self.name, request, done, native=True)
+
+    def close(self) -> None:
+        """The route ends the calls."""
+
+
 class FakeEdge(Edge):
     """Joins a `FakeNetwork`."""
 
     side = "fake"
+    services = True
 
     def __init__(self, network: FakeNetwork, registry: Registry) -> None:
         self._network, self._registry = network, registry
-        self._made: list[_Subscription | _Publisher] = []
+        self._made: list[_Subscription | _Publisher | _Server | _Caller] = []
 
     def start(self, listener: EdgeListener) -> None:
         self._network.watch(listener.graph_changed)
@@ -191,4 +248,25 @@ class FakeEdge(Edge):
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> _Publisher:
         writer = self._network.write_on(topic, side_type.name, qos, MadeBy.MIDSPAN, "/midspan")
         self._made.append(made := _Publisher(self._network, writer))
+        return made
+
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        return self._same_service(endpoint.type, "")
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        return self._same_service(type_name, type_hash)
+
+    def _same_service(self, type_name: str, type_hash: str) -> ServiceConversion:
+        known = self._registry.service_ros2(type_name, type_hash)
+        request, reply = self._registry.hub_service_check(type_name, type_hash)
+        return ServiceConversion(known, known, request, request, reply, reply)
+
+    def caller(self, name: str, side_type: SideType) -> _Caller:
+        del side_type
+        self._made.append(made := _Caller(self._network, name))
+        return made
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> _Server:
+        server = self._network.serve(name, side_type.name, MadeBy.MIDSPAN, "/midspan", call)
+        self._made.append(made := _Server(self._network, server))
         return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Literal
 
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from bridge.config.sections.section import Section, SideName
 from bridge.config.sections.values import ROS2_NAME
@@ -45,36 +45,44 @@ def rename_trouble(rename: str, topic: str | None, regex: str | None, *, ros1: b
 
 
 class Rule(Section):
-    """One rule: which topics it names, and what becomes of them.
+    """One rule: which topics, services and actions it names, and what becomes of them.
 
     Of the rules that match, any with ``deny`` wins; else the first one that matches gives rename, rate, priority,
     depth and QoS.
     """
 
+    kind: Literal["topic", "service", "action"] | None = Field(
+        default=None, description="Only topics, only services or only actions; without it all three."
+    )
     topic: str | None = Field(
         default=None,
-        description="Glob over the topic's name where the rule is applied: `*` stays within one name part, `**` crosses"
-        " parts. Example: `/camera/**`.",
+        description="Glob over the name of the topic, service or action where the rule is applied: `*` stays within one"
+        " name part, `**` crosses parts. Example: `/camera/**`.",
     )
     regex: str | None = Field(
         default=None, description="Regular expression that must match the whole name; an alternative to `topic`."
     )
     type: str | None = Field(
-        default=None, description="Glob over the type's ROS 2 name, for example `sensor_msgs/msg/*`."
+        default=None,
+        description="Glob over the type's ROS 2 name: `sensor_msgs/msg/*`, `nav_msgs/srv/GetMap`,"
+        " `nav2_msgs/action/*`.",
     )
-    from_: SideName | None = Field(default=None, alias="from", description="Only topics that come from this side.")
+    from_: SideName | None = Field(default=None, alias="from", description="Only what comes from this side.")
     to: SideName | None = Field(
         default=None,
         description="Only on the way out to this side; without it the rule holds where the topic enters the hub.",
     )
-    deny: bool = Field(default=False, description="The topic does not cross; wins over every other rule.")
+    deny: bool = Field(default=False, description="It does not cross; wins over every other rule.")
     rename: str | None = Field(
         default=None,
         description="New name. With `regex`, groups as `\\1`; with a glob, each `*` or `**` of the new name stands for"
         " what the wildcard at that place matched.",
     )
     rate: float | None = Field(
-        default=None, gt=0, le=10000, description="At most so many messages a second, the newest ones."
+        default=None,
+        gt=0,
+        le=10000,
+        description="At most so many messages a second, the newest ones. Of topics alone, as are the next four.",
     )
     priority: Literal["state", "command", "stream"] | None = Field(
         default=None, description="state: kept; command: newest only, never latched or late; stream: drops oldest."
@@ -112,9 +120,11 @@ class Rule(Section):
 
     @field_validator("type")
     @classmethod
-    def _type_is_spelled_as_in_ros2(cls, value: str | None) -> str | None:
+    def _type_is_spelled_as_in_ros2(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value is not None and "**" not in value and value.count("/") == 1:
-            msg = f"{value!r} matches no type: they are spelled as in ROS 2, {value.replace('/', '/msg/')}"
+            middle = {"service": "srv", "action": "action"}.get(info.data.get("kind") or "", "msg")
+            spelled = value.replace("/", f"/{middle}/")
+            msg = f"{value!r} matches no type: they are spelled as in ROS 2, {spelled}"
             raise ValueError(msg)
         return value
 
@@ -131,17 +141,24 @@ class Rule(Section):
         if self.deny and (self.rename or self.rate or self.priority or self.depth or self.timeout):
             msg = "a rule that denies has no rename, rate, priority, depth or timeout"
             raise ValueError(msg)
+        if self.kind in ("service", "action") and (
+            self.rate or self.priority or self.depth or self.timeout or self.qos != QosOverride()
+        ):
+            msg = f"rate, priority, depth, timeout and qos are of topics; a rule of kind {self.kind} has none of them"
+            raise ValueError(msg)
         return self
 
 
 class RoutingSection(Section):
-    """Which topics cross, and how."""
+    """What crosses, and how."""
 
     default: Literal["allow", "deny"] = Field(
         default="allow",
-        description="What becomes of a topic that no rule names. With `deny`, the rules are the allow list.",
+        description="What becomes of what no rule names. With `deny`, the rules are the allow list.",
     )
     private: bool = Field(
-        default=True, description="Keep back what is private to a side (rosout, parameter events and the like)."
+        default=True,
+        description="Keep back what is private to a side (rosout, parameter events, the services that each node"
+        " has for itself, and the like).",
     )
     rules: tuple[Rule, ...] = Field(default=(), description="The rules; see below.")
