@@ -3,7 +3,7 @@
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
-``log`` text: to /rosout; ``count``, ``counted`` and ``tally`` as `tests.support.peer` says.
+``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and ``tally`` as `tests.support.peer` says.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: ros1_peer.py NODE
@@ -102,6 +102,55 @@ class Subscriber:
             return [to_plain(m) for m in self.messages]
 
 
+class Serving:
+    """A service that gives one answer to all."""
+
+    def __init__(self, service, cls, reply, error, held):
+        self.cls, self.reply, self.error = cls, reply, error
+        self.requests, self.ready = [], threading.Condition()
+        self.released = threading.Event()
+        if not held:
+            self.released.set()
+        self.endpoint = rospy.Service(service, cls, self.on_request)
+
+    def on_request(self, request):
+        with self.ready:
+            self.requests.append(to_plain(request))
+            self.ready.notify_all()
+        self.released.wait()
+        if self.error:
+            raise rospy.ServiceException(self.error)
+        return fill(self.cls._response_class(), self.reply)
+
+    def wait(self, count, seconds):
+        with self.ready:
+            self.ready.wait_for(lambda: len(self.requests) >= count, seconds)
+            return list(self.requests)
+
+    def unregister(self):
+        self.released.set()
+        self.endpoint.shutdown("end of the test")
+
+
+class Calling:
+    """A call on a thread."""
+
+    def __init__(self, proxy, request):
+        self.reply, self.error = None, ""
+        self.thread = threading.Thread(target=self.run, args=(proxy, request), daemon=True)
+        self.thread.start()
+
+    def run(self, proxy, request):
+        try:
+            self.reply = to_plain(proxy.call(request))
+        except Exception as err:
+            self.error = str(err) or type(err).__name__
+
+    def result(self, seconds):
+        self.thread.join(seconds)
+        return {"done": not self.thread.is_alive(), "reply": self.reply, "error": self.error}
+
+
 class Counting:
     """Publishes numbers, one a message, on a thread."""
 
@@ -128,7 +177,7 @@ class Peer:
     """Carries out the commands."""
 
     def __init__(self):
-        self.endpoints, self.countings = {}, {}
+        self.endpoints, self.countings, self.proxies = {}, {}, {}
         self.next_id = 0
 
     def add(self, endpoint):
@@ -176,6 +225,32 @@ class Peer:
 
     def do_header(self, id, **_):
         return {"headers": self.endpoints[id].headers}
+
+    def do_serve(self, service, type, reply=None, error="", held=False, **_):
+        return self.add(Serving(service, roslib.message.get_service_class(type), reply or {}, error, held))
+
+    def do_release(self, id, **_):
+        self.endpoints[id].released.set()
+        return {}
+
+    def do_requests(self, id, count=1, seconds=20.0, **_):
+        return {"requests": self.endpoints[id].wait(count, seconds)}
+
+    def do_call(self, service, type, request=None, persistent=False, **_):
+        cls = roslib.message.get_service_class(type)
+        proxy = self.proxies.get(service) if persistent else None
+        if proxy is None:
+            proxy = rospy.ServiceProxy(service, cls, persistent=persistent)
+        if persistent:
+            self.proxies[service] = proxy
+        return self.add(Calling(proxy, fill(cls._request_class(), request or {})))
+
+    def do_result(self, id, seconds=20.0, **_):
+        return self.endpoints[id].result(seconds)
+
+    def do_await_service(self, service, seconds=20.0, **_):
+        rospy.wait_for_service(service, seconds)
+        return {}
 
     def do_drop(self, id, **_):
         endpoint = self.endpoints.pop(id)

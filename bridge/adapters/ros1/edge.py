@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, ClassVar
 from bridge.adapters.base import (
     Deliver,
     Edge,
+    EdgeCaller,
     EdgeListener,
     EdgePublisher,
+    EdgeServer,
     EdgeSubscription,
     Endpoint,
     Kind,
@@ -30,10 +32,12 @@ from bridge.adapters.ros1.limits import raise_descriptor_limit
 from bridge.adapters.ros1.links import Links
 from bridge.adapters.ros1.presence import Ledger, Presence, others
 from bridge.adapters.ros1.probe import Facts, Prober
+from bridge.adapters.ros1.service import Services
 from bridge.config.model import Config
+from bridge.hub.call import Call
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.registry import Registry
 
 if TYPE_CHECKING:
@@ -66,6 +70,11 @@ class Ros1Edge(Edge):
         self._check_due = 0.0
         self._subscriptions: set[_Open] = set()
         self._links = Links(self._caller, self._presence_changed, self._wake_master)
+        self._services = Services(
+            self._lanes, self._caller, config.name,
+            found=self._graph_changed, wake=self._wake_master, doubt=self._doubt_service,
+            limit=config.limits.message_bytes,
+        )  # fmt: skip
         self._settled = float("-inf")
         self._listener: EdgeListener | None = None
         self._node: Node | None = None
@@ -85,9 +94,12 @@ class Ros1Edge(Edge):
         self._listener = listener
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
-        self._node = Node(name, uri, self._wake_master, self._asked_to_stop, self._links.admit)
+        servers = self._services.servers
+        self._node = Node(name, uri, self._wake_master, self._asked_to_stop, self._links.admit, servers)
         period, daemon = self._config.ros1.poll, self._config.name
-        self._master = Master(uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed)
+        self._master = Master(
+            uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone
+        )
         self._master.start()
 
     def stop(self) -> None:
@@ -100,6 +112,7 @@ class Ros1Edge(Edge):
         self._links.close()
         if self._master is not None:
             self._master.stop()
+        self._services.stop()
         for opened in subscriptions:
             opened.close()
         self._lanes.stop()
@@ -119,6 +132,10 @@ class Ros1Edge(Edge):
         if self._master is not None:
             self._master.wake()
 
+    def _doubt_service(self, name: str) -> None:
+        if self._master is not None:
+            self._master.doubt(name)
+
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def network(self) -> str | None:
@@ -131,13 +148,14 @@ class Ros1Edge(Edge):
         return origin.side == self.side and origin.network == self.network()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The other nodes' publishers and subscriptions."""
+        """The other nodes' publishers, subscriptions and servers; ROS 1 knows nothing of clients."""
         look = self._look
         if look is None:
             return ()
         own, facts = self._caller(), self._prober.facts()
         found = [self._publisher(link, look, facts.get(link)) for link in look.publishers if link.node != own]
         found += [self._subscriber(link, look) for link in look.subscribers if link.node != own]
+        found += self._services.endpoints(look)
         return found
 
     def is_heard(self, topic: str) -> bool:
@@ -176,7 +194,7 @@ class Ros1Edge(Edge):
         for (topic, node), why in sorted(turned_away.items()):
             if (topic, node) in heard:
                 warnings.append(f"{topic}: {node} does not hear us: {why}")
-        return warnings
+        return [*warnings, *self._services.warnings()]
 
     @staticmethod
     def _publisher(link: Link, look: Look, facts: Facts | None) -> Endpoint:
@@ -208,23 +226,27 @@ class Ros1Edge(Edge):
         if changed:
             publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
             self._publishers = publishers
-            self._names.learn({p.topic for p in publishers} | {s.topic for s in look.subscribers} if look else ())
-            self._lanes.forget({p.uri for p in publishers})
+            self._names.learn({k.topic for k in publishers | look.subscribers | look.servers} if look else ())
+            self._lanes.forget({k.uri for k in publishers | (look.servers if look else frozenset())})
         if changed or self._prober.waiting:
             self._prober.follow(self._publishers)
         with self._lock:
             restless = any(opened.subscription.restless for opened in self._subscriptions)
         if changed or restless:
             self._follow_subscriptions()
+        self._services.seen(look)
         if time.monotonic() >= self._check_due:
             self._check_due = time.monotonic() + _CHECK_PERIOD
             self._node.drop_dead_connections()
         self._watch_others(look)
-        if changed and self._listener is not None:
-            self._listener.graph_changed()
+        if changed:
+            self._graph_changed()
 
     def _probed(self) -> None:
         self._follow_subscriptions()
+        self._graph_changed()
+
+    def _graph_changed(self) -> None:
         if self._listener is not None:
             self._listener.graph_changed()
 
@@ -264,6 +286,14 @@ class Ros1Edge(Edge):
         """See `Edge.from_hub`."""
         return self._registry.hub_to_ros1(type_name, type_hash)
 
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """See `Edge.service_to_hub`."""
+        return self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """See `Edge.service_from_hub`."""
+        return self._registry.service_hub_to_ros1(type_name, type_hash)
+
     def learn(self, type_name: str, definition: str) -> None:
         """See `Edge.learn`."""
         self._registry.learn_ros2(type_name, definition)
@@ -302,6 +332,14 @@ class Ros1Edge(Edge):
         from bridge.adapters.ros1.publisher import Publisher
 
         return Publisher(topic, side_type, qos, self._config.name)
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """Calls the native server of a service, over persistent connections; see `Edge.caller`."""
+        return self._services.caller(name, side_type)
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve a service; a native server of the name keeps it, see `Edge.serve`."""
+        return self._services.servers.open(name, side_type, call)
 
     def closed(self, opened: _Open) -> None:
         """A subscription was given back."""

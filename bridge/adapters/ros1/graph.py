@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from bridge.adapters.ros1.errors import ProtocolError
@@ -16,12 +16,13 @@ PRESENCE = "/midspan/nodes"
 
 
 class Link(NamedTuple):
-    """One node's registration for one topic.
+    """One node's registration for one topic or service.
 
     Attributes:
         node: the node's name.
-        topic: the topic's name as it is registered.
-        uri: the node's XML-RPC address, "" where the master does not know it.
+        topic: the topic's or service's name as it is registered.
+        uri: the node's XML-RPC address, of a service its own (``rosrpc://host:port``); "" where the master does not
+            know it.
     """
 
     node: str
@@ -45,7 +46,7 @@ class Look:
     network: str
     publishers: frozenset[Link] = frozenset()
     subscribers: frozenset[Link] = frozenset()
-    services: Mapping[str, str] = field(default_factory=dict)
+    servers: frozenset[Link] = frozenset()
     types: Mapping[str, str] = field(default_factory=dict)
     uris: Mapping[str, str] = field(default_factory=dict)
     presence: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -60,6 +61,12 @@ class Looker:
         self._nodes: tuple[str, ...] = ()
         self._answers: list[Any] = []
         self._look: Look | None = None
+        self._servers: dict[Link, str] = {}
+        self._doubted: set[str] = set()
+
+    def doubt(self, service: str) -> None:
+        """A service is not where the master said: the next look asks again. From any thread."""
+        self._doubted.add(service)
 
     def look(self) -> Look:
         """The master's state now; the very same object as the last time where nothing changed. Raises `Ros1Error`."""
@@ -74,15 +81,29 @@ class Looker:
         for _ in range(_TRIES):
             asked = self._nodes
             answers = self._ask()
-            if answers is self._answers and self._look is not None:
+            if answers == self._answers and self._look is not None and not self._doubted:
                 return self._look
             self._nodes = tuple(sorted({node for kind in _state(answers) for _, names in kind for node in names}))
             if self._nodes == asked:
                 break
         # Where nodes came while their addresses were asked for, the next look asks again.
         self._answers = answers if self._nodes == asked else []
-        self._look = _read(answers, asked)
+        look = _read(answers, asked)
+        look = replace(look, servers=self._addresses(_state(answers)[2], look.uris))
+        if look != self._look:
+            self._look = look
+        assert self._look is not None
         return self._look
+
+    def _addresses(self, services: list[tuple[str, list[str]]], uris: Mapping[str, str]) -> frozenset[Link]:
+        """Each service's server; its address is asked for once, again where its node is another or it is in doubt."""
+        there = {Link(nodes[0], name, uris.get(nodes[0], "")) for name, nodes in services if nodes}
+        doubted, self._doubted = self._doubted, set()
+        self._servers = {k: uri for k, uri in self._servers.items() if k in there and k.topic not in doubted}
+        new = sorted(there - self._servers.keys())
+        found = self._client.calls([("lookupService", (self.caller, link.topic)) for link in new]) if new else []
+        self._servers |= {link: uri for link, uri in zip(new, found, strict=True) if isinstance(uri, str)}
+        return frozenset(Link(k.node, k.topic, self._servers.get(k, "")) for k in there)
 
     def _ask(self) -> list[Any]:
         me = self.caller
@@ -96,14 +117,13 @@ class Looker:
 def _read(answers: list[Any], nodes: tuple[str, ...]) -> Look:
     types, run_id, presence, pid, uri = answers[1:6]
     uris = {n: u for n, u in zip(nodes, answers[6:], strict=True) if isinstance(u, str)}
-    publishers, subscribers, services = _state(answers)
+    publishers, subscribers, _ = _state(answers)
     network = run_id if isinstance(run_id, str) and run_id else f"{uri}#{pid}"
     return Look(
         run=f"{network}#{pid}",
         network=network,
         publishers=_links(publishers, uris),
         subscribers=_links(subscribers, uris),
-        services={name: nodes[0] for name, nodes in services if nodes},
         types={str(name): str(type_) for name, type_ in types or ()},
         uris=uris,
         presence={k: v for k, v in presence.items() if isinstance(v, dict)} if isinstance(presence, dict) else {},

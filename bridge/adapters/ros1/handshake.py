@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import Mapping
 from typing import Any
+from urllib.parse import urlsplit
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ProtocolError, RefusedError, Ros1Error, UnreachableError, unanswered
@@ -19,7 +20,7 @@ MAX_HEADER = 2**20
 """Bytes of the longest header that is read; the definition of the largest common type is about 20 kB."""
 
 ORIGIN_FIELD = "midspan_origin"
-"""Header field of every publisher that a Midspan made; its value names the daemon."""
+"""Header field of every publisher and server that a Midspan made; its value names the daemon."""
 
 Header = Mapping[str, str]
 
@@ -90,24 +91,56 @@ def connect(caller: str, uri: str, topic: str, seconds: float) -> tuple[Deadline
     deadline = time.monotonic() + seconds
     chosen = ask(uri, seconds, "requestTopic", caller, topic, [["TCPROS"]])
     host, port = _address(chosen, uri)
+    ours = {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "message_definition": ""}
+    return _greet(host, port, deadline, {**ours, "tcp_nodelay": "1"}, f"{uri} publishes")
+
+
+def connect_service(
+    caller: str, address: str, service: str, seconds: float, **fields: str
+) -> tuple[DeadlineSocket, dict[str, str]]:
+    """Connect to a service's server, up to and with its header.
+
+    Args:
+        caller: name of the node that we are.
+        address: the service's own, ``rosrpc://host:port``.
+        service: name as it is registered.
+        seconds: for all of it together.
+        fields: more of our header: ``md5sum`` ("*" for any), ``probe``, ``persistent``.
+
+    Raises:
+        Ros1Error: with the reason, for people.
+    """
+    deadline = time.monotonic() + seconds
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname or "", parts.port or 0
+    except ValueError:
+        host, port = "", 0
+    if not host or not port:
+        msg = f"not a ROS 1 service's address: {address[:200]!r} (it should look like rosrpc://host:port)"
+        raise ProtocolError(msg)
+    ours = {"callerid": caller, "service": service, "tcp_nodelay": "1", **fields}
+    return _greet(host, port, deadline, ours, f"{service} is served")
+
+
+def _greet(host: str, port: int, deadline: float, ours: Header, what: str) -> tuple[DeadlineSocket, dict[str, str]]:
     try:
         sock = DeadlineSocket.connected(host, port, deadline)
     except OSError as err:
-        raise unanswered(f"cannot connect to {host}:{port} where {uri} publishes", err) from None
+        raise unanswered(f"cannot connect to {host}:{port} where {what}", err) from None
     except ValueError as err:  # no name of a host
-        msg = f"{uri} offers {host!r:.200} as its host: {err}"
+        msg = f"{host!r:.200} is no host, where {what}: {err}"
         raise ProtocolError(msg) from None
     try:
-        return sock, _converse(sock, caller, topic, f"{host}:{port}")
+        return sock, _converse(sock, ours, f"{host}:{port}")
     except BaseException:
         sock.close()
         raise
 
 
-def _converse(sock: DeadlineSocket, caller: str, topic: str, peer: str) -> dict[str, str]:
-    ours = {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "message_definition": ""}
+def _converse(sock: DeadlineSocket, ours: Header, peer: str) -> dict[str, str]:
     try:
-        sock.sendall(encode({**ours, "tcp_nodelay": "1"}))
+        sock.sendall(encode(ours))
         header = read_header(sock)
     except TimeoutError:
         msg = f"{peer} sends no connection header in time"

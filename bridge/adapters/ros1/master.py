@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
-from bridge.adapters.ros1.graph import Look, Looker
+from bridge.adapters.ros1.graph import Link, Look, Looker
 from bridge.adapters.ros1.node import Node
 from bridge.adapters.ros1.presence import Ledger, Presence, burial, is_alive
 from bridge.adapters.ros1.rpc import Call, RpcClient
@@ -49,6 +49,8 @@ class _Own(NamedTuple):
 class Master:
     """Follows one master for one node. ``seen`` is called on its thread at each look, with None once it is away.
 
+    ``is_dead`` says whether a service's server is known to be gone, so that ours may take its name.
+
     Attributes:
         uri: the master's address.
         trouble: why it is away, "" where it is not.
@@ -56,13 +58,21 @@ class Master:
     """
 
     def __init__(
-        self, uri: str, node: Node, daemon: str, ledger: Ledger, period: float, seen: Seen, lost_name: Lost
+        self,
+        uri: str,
+        node: Node,
+        daemon: str,
+        ledger: Ledger,
+        period: float,
+        seen: Seen,
+        lost_name: Lost,
+        is_dead: Callable[[Link], bool],
     ) -> None:
         self.uri = uri
         self.trouble = ""
         self.looked = float("-inf")
         self._node, self._daemon, self._ledger = node, daemon, ledger
-        self._period, self._seen, self._lost_name = period, seen, lost_name
+        self._period, self._seen, self._lost_name, self._is_dead = period, seen, lost_name, is_dead
         self._evicted = False
         self._client = RpcClient(uri, _TIMEOUT)
         self._looker = Looker(self._client, node.name)
@@ -85,6 +95,10 @@ class Master:
         """Look again at once."""
         self._wake.set()
 
+    def doubt(self, service: str) -> None:
+        """A service is not where the master said it is; the next look asks again."""
+        self._looker.doubt(service)
+
     def evicted(self) -> None:
         """Another node has our name: register nothing more, else the two would end each other in turn."""
         self._evicted = True
@@ -103,7 +117,7 @@ class Master:
             try:
                 own = self.presence()
                 look = Looker(client, own.node).look()
-                for batch in _batches([*burial(look, [own]), *self._service_calls(client, look, {})]):
+                for batch in _batches(burial(look, [own])):
                     client.calls(batch)
                 self._ledger.remember(None)
             except Ros1Error as err:
@@ -231,21 +245,21 @@ class Master:
             *(("unregisterSubscriber", (name, t, uri)) for t in has_subscribed - subscribed.keys()),
             *(("registerPublisher", (name, t, published[t], uri)) for t in published.keys() - standing),
             *(("registerSubscriber", (name, t, subscribed[t], uri)) for t in subscribed.keys() - has_subscribed),
-            *self._service_calls(self._client, look, self._node.services()),
+            *self._service_calls(look),
         ]
         own = self.presence()
         if Presence.parse(look.presence.get(own.key)) != own:
             calls.append(("setParam", (name, own.parameter, own.as_dict())))
         return calls
 
-    def _service_calls(self, client: RpcClient, look: Look, wanted: dict[str, str]) -> list[Call]:
-        name, uri = self._node.name, self._node.uri
-        has = {s for s, node in look.services.items() if node == name}
-        gone = [s for s in has if s not in wanted]
-        addresses = client.calls([("lookupService", (name, s)) for s in gone]) if gone else []
+    def _service_calls(self, look: Look) -> list[Call]:
+        """Services differ from topics: a master knows one server of a name, and the last to register takes it over."""
+        name, uri, wanted = self._node.name, self._node.uri, self._node.services()
+        has = {link.topic: link.uri for link in look.servers if link.node == name}
+        taken = {link.topic for link in look.servers if link.node != name and not self._is_dead(link)}
         return [
-            *(("unregisterService", (name, s, a)) for s, a in zip(gone, addresses, strict=True) if a),
-            *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if s not in has),
+            *(("unregisterService", (name, s, a)) for s, a in has.items() if a and wanted.get(s) != a),
+            *(("registerService", (name, s, a, uri)) for s, a in wanted.items() if has.get(s) != a and s not in taken),
         ]
 
     def _check(self, calls: Sequence[Call], values: Sequence[object]) -> None:

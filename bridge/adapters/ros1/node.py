@@ -11,7 +11,6 @@ rospy is one per process, so is this node.
 from __future__ import annotations
 
 import logging
-import math
 import socket
 import threading
 import time
@@ -30,6 +29,7 @@ from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.handshake import Header, encode, read_header
 from bridge.adapters.ros1.links import FIELD
+from bridge.adapters.ros1.service_server import Servers
 
 _log = logging.getLogger(__name__)
 
@@ -127,6 +127,7 @@ class Node:
     Attributes:
         uri: its XML-RPC address.
         port: its TCPROS port.
+        address: where its services are called.
     """
 
     def __init__(
@@ -136,6 +137,7 @@ class Node:
         changed: Changed,
         asked_to_stop: Callable[[str], None],
         visit: Callable[[DeadlineSocket, Header, str], str],
+        servers: Servers,
     ) -> None:
         if rospy.core.is_initialized():
             msg = "rospy is already in use in this process: one ROS 1 edge per process"
@@ -144,7 +146,7 @@ class Node:
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
         self._turned_away: dict[tuple[str, str], str] = {}
-        self._visit = visit
+        self._visit, self._servers = visit, servers
         self.rename(name)
         self._start_server()
         self._notes = _Notes(changed)
@@ -185,10 +187,9 @@ class Node:
         with topics.lock:
             return dict(topics.get_subscriptions())
 
-    @staticmethod
-    def services() -> dict[str, str]:
+    def services(self) -> dict[str, str]:
         """Services that we serve, with their addresses."""
-        return dict(registration.get_service_manager().get_services())
+        return dict.fromkeys(self._servers.names(), self.address)
 
     @staticmethod
     def drop_dead_connections() -> None:
@@ -223,6 +224,7 @@ class Node:
         server = _Server(self._greet)
         server.server_sock.listen(_BACKLOG)
         self.port = int(server.port)
+        self.address = f"rosrpc://{server.get_full_addr()[0]}:{self.port}"
         server.start()
         self._tcpros.tcp_ros_server = server
 
@@ -251,7 +253,7 @@ class Node:
             self._greetings.release()
 
     def _admit(self, sock: DeadlineSocket, address: Any, header: dict[str, str]) -> str:
-        """Hand the peer to rospy, or to who keeps in touch with the other Midspan nodes; "" or why not."""
+        """Hand the peer to rospy, to our servers, or to who keeps in touch with other Midspan nodes; "" or why not."""
         if FIELD in header:
             return self._visit(sock, header, self.uri)
         if "topic" in header:
@@ -259,8 +261,7 @@ class Node:
             self._note_type(header, error)
             return error
         if "service" in header:
-            sock.deadline = math.inf
-            return str(self._tcpros.service_connection_handler(sock, address, header) or "")
+            return self._servers.admit(sock, header)
         return "neither a topic nor a service is named"
 
     def _note_type(self, header: dict[str, str], error: str) -> None:

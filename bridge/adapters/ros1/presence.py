@@ -92,6 +92,11 @@ def burial(look: Look, dead: Iterable[Presence]) -> list[Call]:
         # The master ignores these where another process has taken the node's name meanwhile: its address differs.
         for method, links in (("unregisterPublisher", look.publishers), ("unregisterSubscriber", look.subscribers)):
             calls += [(method, (node, k.topic, uri)) for k in links if k.node == node and k.uri == uri]
+        calls += [
+            ("unregisterService", (node, k.topic, k.uri))
+            for k in look.servers
+            if k.node == node and k.uri.endswith(f":{entry.port}")
+        ]
         if Presence.parse(look.presence.get(entry.key)) == entry:
             calls.append(("deleteParam", (node, entry.parameter)))
     return calls

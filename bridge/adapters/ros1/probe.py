@@ -1,4 +1,4 @@
-"""What each publisher on the graph is: asked by a TCPROS handshake, of which no message is read."""
+"""What each publisher and server on the graph is: asked by a TCPROS handshake, of which no message is read."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
 from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, connect
@@ -23,7 +24,7 @@ _LONGEST_WAIT = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a publisher says of itself in its connection header."""
+    """What a publisher or server says of itself in its connection header."""
 
     type: str
     md5: str
@@ -45,19 +46,32 @@ class Facts:
 
 @dataclass(slots=True)
 class _Attempt:
-    """How asking a publisher goes: when next, and what went wrong."""
+    """How asking one goes: when next, and what went wrong; ``refused``: nobody listens there."""
 
     due: float = 0.0
     wait: float = _FIRST_WAIT
     under_way: bool = False
     trouble: str = ""
+    refused: bool = False
+
+
+Handshake = Callable[[str, str, str, float], tuple[DeadlineSocket, Header]]
+"""``handshake(caller, uri, topic, seconds)``: connect, up to and with the peer's header; raises `Ros1Error`."""
 
 
 class Prober:
-    """Asks every new publisher once, and those that do not answer again and again, ever more seldom."""
+    """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom."""
 
-    def __init__(self, lanes: Lanes, caller: Callable[[], str], changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        lanes: Lanes,
+        caller: Callable[[], str],
+        changed: Callable[[], None],
+        handshake: Handshake = connect,
+        kind: str = "publisher",
+    ) -> None:
         self._lanes, self._caller, self._changed = lanes, caller, changed
+        self._handshake, self._kind = handshake, kind
         self._lock = threading.Lock()
         self._facts: dict[Link, Facts] = {}
         self._open: dict[Link, _Attempt] = {}
@@ -109,14 +123,20 @@ class Prober:
         with self._lock:
             return {link: a.trouble for link, a in self._open.items() if a.trouble}
 
+    def is_gone(self, link: Link) -> bool:
+        """Whether nobody listened where this one should be, when it was asked."""
+        with self._lock:
+            attempt = self._open.get(link)
+        return attempt is not None and attempt.refused
+
     def _probe(self, link: Link) -> None:
         try:
             # rospy drops an older connection of the same caller, so a probe calls itself otherwise than the node.
-            sock, header = connect(f"{self._caller()}_probe", link.uri, link.topic, HANDSHAKE_SECONDS)
+            sock, header = self._handshake(f"{self._caller()}_probe", link.uri, link.topic, HANDSHAKE_SECONDS)
         except Ros1Error as err:
             if isinstance(err, UnreachableError):
                 self._lanes.failed(link.uri)
-            self._again(link, str(err))
+            self._again(link, str(err), refused=isinstance(err, UnreachableError) and err.refused)
             return
         except Exception as err:
             self._again(link, f"{type(err).__name__}: {err}")
@@ -129,14 +149,14 @@ class Prober:
                 self._facts[link] = Facts.of(header)
         self._changed()
 
-    def _again(self, link: Link, trouble: str) -> None:
+    def _again(self, link: Link, trouble: str, *, refused: bool = False) -> None:
         with self._lock:
             attempt = self._open.get(link)
             if attempt is None:
                 return
             if trouble != attempt.trouble:
-                _log.info("the publisher of %s in %s does not tell its type: %s", link.topic, link.node, trouble)
-            attempt.trouble = trouble
+                _log.info("the %s of %s in %s does not tell its type: %s", self._kind, link.topic, link.node, trouble)
+            attempt.trouble, attempt.refused = trouble, refused
             attempt.under_way = False
             attempt.due = time.monotonic() + attempt.wait
             attempt.wait = min(2 * attempt.wait, _LONGEST_WAIT)

@@ -33,6 +33,14 @@ Refused = Callable[[str, str], None]
 """``refused(reason, why)``: a message is not delivered; ``reason`` is ``bad`` or ``large``."""
 
 
+def keep_alive(sock: socket.socket) -> None:
+    """Have the system notice that a peer's machine is gone."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEPALIVE:
+        if hasattr(socket, name):
+            sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+
+
 class Reader:
     """Reads one publisher's messages on a thread of its own until the connection ends.
 
@@ -61,10 +69,7 @@ class Reader:
         self._local = sock.getsockname()
         self._sock = socket.socket(fileno=sock.detach())
         self._sock.settimeout(None)
-        self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for name, value in _KEEPALIVE:
-            if hasattr(socket, name):
-                self._sock.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        keep_alive(self._sock)
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 

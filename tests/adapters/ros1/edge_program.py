@@ -22,6 +22,7 @@ import roslib.message
 
 from bridge.adapters.ros1.edge import Ros1Edge
 from bridge.config.model import Config
+from bridge.hub.call import CallError
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.conversion import SideType
@@ -68,6 +69,46 @@ class Inbox:
             return list(self.messages)
 
 
+class Calls:
+    """Calls that were begun, and how they ended."""
+
+    def __init__(self, caller: Any) -> None:
+        self.caller, self.ready = caller, threading.Condition()
+        self.results: dict[int, list[str]] = defaultdict(list)
+        self.abandons: dict[int, Any] = {}
+
+    def begin(self, number: int, request: bytes) -> float:
+        def done(result: bytes | CallError) -> None:
+            failed = isinstance(result, CallError)
+            text = f"error: {result}" if failed else base64.b64encode(bytes(result)).decode()
+            with self.ready:
+                self.results[number].append(text)
+                self.ready.notify_all()
+
+        begin = time.monotonic()
+        self.abandons[number] = self.caller.call(request, done)
+        return time.monotonic() - begin
+
+    def wait(self, count: int, seconds: float) -> dict[int, list[str]]:
+        with self.ready:
+            self.ready.wait_for(lambda: len(self.results) >= count, seconds)
+            return dict(self.results)
+
+
+class Served:
+    """A service of the edge's whose calls a test answers."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[bytes, Any]] = []
+        self.abandoned: set[int] = set()
+        self.handle: Any = None
+
+    def call(self, request: bytes, done: Any) -> Any:
+        self.calls.append((request, done))
+        number = len(self.calls) - 1
+        return lambda: self.abandoned.add(number)
+
+
 class Program:
     """Carries out the commands."""
 
@@ -86,6 +127,10 @@ class Program:
             return SideType(type, md5, definition)
         cls = roslib.message.get_message_class(type)
         return SideType(type, cls._md5sum, cls._full_text)
+
+    @staticmethod
+    def service_type(type: str, md5: str = "") -> SideType:
+        return SideType(type, md5 or roslib.message.get_service_class(type)._md5sum, "")
 
     def do_start(self) -> dict[str, Any]:
         begin = time.monotonic()
@@ -132,6 +177,39 @@ class Program:
 
     def do_forget(self, id: int, source: str) -> dict[str, Any]:
         self.handles[id].forget(source)
+        return {}
+
+    def do_caller(self, service: str, **type: str) -> dict[str, Any]:
+        return self.add(Calls(self.edge.caller(service, self.service_type(**type))))
+
+    def do_begin(self, id: int, request: str, number: int = 0) -> dict[str, Any]:
+        return {"seconds": self.handles[id].begin(number, base64.b64decode(request))}
+
+    def do_results(self, id: int, count: int = 1, seconds: float = 20.0) -> dict[str, Any]:
+        return {"results": {str(k): v for k, v in self.handles[id].wait(count, seconds).items()}}
+
+    def do_abandon(self, id: int, number: int = 0) -> dict[str, Any]:
+        self.handles[id].abandons[number]()
+        return {}
+
+    def do_close_caller(self, id: int) -> dict[str, Any]:
+        self.handles[id].caller.close()
+        return {}
+
+    def do_serve(self, service: str, **type: str) -> dict[str, Any]:
+        served = Served()
+        served.handle = self.edge.serve(service, self.service_type(**type), served.call)
+        return self.add(served)
+
+    def do_calls(self, id: int) -> dict[str, Any]:
+        served = self.handles[id]
+        return {
+            "requests": [base64.b64encode(request).decode() for request, _ in served.calls],
+            "abandoned": sorted(served.abandoned),
+        }
+
+    def do_answer(self, id: int, number: int = 0, reply: str = "", error: str = "") -> dict[str, Any]:
+        self.handles[id].calls[number][1](CallError(error) if error else base64.b64decode(reply))
         return {}
 
     def do_drop(self, id: int) -> dict[str, Any]:

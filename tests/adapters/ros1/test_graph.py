@@ -19,6 +19,8 @@ class Master:
         self.publishers = [["/topic", ["/a"]]]
         self.run_id: list[Any] = [1, "", "run"]
         self.presence: list[Any] = [-1, "not set", 0]
+        self.services = {"/serve": ("/a", "rosrpc://a:2")}
+        self.lookups: list[str] = []
         self.at_end: Callable[[], None] = lambda: None
 
     def uri(self, _caller: str) -> list[Any]:
@@ -29,14 +31,23 @@ class Master:
     def lookup(self, _caller: str, name: str) -> list[Any]:
         return [1, "", self.nodes[name]] if name in self.nodes else [-1, "unknown node", ""]
 
+    def lookup_service(self, _caller: str, name: str) -> list[Any]:
+        self.lookups.append(name)
+        return [1, "", self.services[name][1]] if name in self.services else [-1, "no provider", ""]
+
+    def state(self, _caller: str) -> list[Any]:
+        services = [[name, [node]] for name, (node, _) in self.services.items()]
+        return [1, "", [self.publishers, [["/topic", ["/b"]]], services]]
+
     def methods(self) -> dict[str, Any]:
         return {
-            "getSystemState": lambda _: [1, "", [self.publishers, [["/topic", ["/b"]]], [["/serve", ["/a"]]]]],
+            "getSystemState": self.state,
             "getTopicTypes": lambda _: [1, "", [["/topic", "std_msgs/String"]]],
             "getParam": lambda _, key: self.run_id if key == "/run_id" else self.presence,
             "getPid": lambda _: [1, "", 42],
             "getUri": self.uri,
             "lookupNode": self.lookup,
+            "lookupService": self.lookup_service,
         }
 
 
@@ -58,7 +69,8 @@ def test_a_look(master, looker):
     assert (look.network, look.run) == ("run", "run#42")
     assert look.publishers == {Link("/a", "/topic", "http://a:1/")}
     assert look.subscribers == {Link("/b", "/topic", "")}
-    assert (look.services, look.types) == ({"/serve": "/a"}, {"/topic": "std_msgs/String"})
+    assert look.servers == {Link("/a", "/serve", "rosrpc://a:2")}
+    assert look.types == {"/topic": "std_msgs/String"}
     assert look.presence == {}
     assert looker.look() is look
     master.presence = [1, "", {"midspan": {"pid": 1}, "odd": 3}]
@@ -84,3 +96,29 @@ def test_a_node_that_moved(master, looker):
     looker.look()
     master.nodes["/a"] = "http://a:2/"
     assert looker.look().publishers == {Link("/a", "/topic", "http://a:2/")}
+
+
+def test_a_services_address_is_asked_for_once(master, looker):
+    first = looker.look()
+    master.services["/more"] = ("/b", "rosrpc://b:3")
+    assert looker.look().servers == {*first.servers, Link("/b", "/more", "rosrpc://b:3")}
+    assert master.lookups == ["/serve", "/more"]
+    del master.services["/more"]
+    assert looker.look().servers == first.servers
+    master.services["/more"] = ("/b", "rosrpc://b:4")
+    assert Link("/b", "/more", "rosrpc://b:4") in looker.look().servers, "one that comes back may be elsewhere"
+
+
+def test_a_service_in_doubt_is_looked_up_again(master, looker):
+    first = looker.look()
+    looker.doubt("/serve")
+    assert looker.look() is first, "it is where it was"
+    master.services["/serve"] = ("/a", "rosrpc://a:7")
+    assert looker.look() is first, "a new address alone does not show in a master's state"
+    looker.doubt("/serve")
+    assert looker.look().servers == {Link("/a", "/serve", "rosrpc://a:7")}
+
+
+def test_a_service_that_went_during_the_look(master, looker):
+    master.services["/gone"] = ("/c", 5)
+    assert Link("/c", "/gone", "") in looker.look().servers
