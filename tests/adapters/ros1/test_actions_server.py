@@ -24,7 +24,7 @@ class World:
         self.lists, self.feedbacks, self.results, self.forgotten = [], [], [], []
         self.sent, self.asked, self.cancels = [], {}, []
         self.now = 100.0
-        self.server = ActionServer("/act", self, lambda: self.now, lambda: Stamp.of(self.now), EMPTY)
+        self.server = ActionServer("/act", self, lambda: self.now, lambda: Stamp.of(int(self.now * 1e9)), EMPTY)
         self.server.open()
 
     def status(self, payload):

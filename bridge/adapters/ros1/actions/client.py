@@ -78,8 +78,7 @@ class ActionClient:
 
     def __init__(self, name: str, outside: Outside, clock: Callable[[], float], empty: bytes) -> None:
         self.name = name
-        self.outside = outside
-        self.empty = empty
+        self._outside, self._empty = outside, empty
         self._clock = clock
         self._shelf = Shelf()
         self._cancels: list[_Cancel] = []
@@ -120,7 +119,7 @@ class ActionClient:
             return _nothing
         goal = self._shelf.by_uuid(uuid)
         if goal is None or goal.refused:
-            done(wire.result_response(Ros2State.UNKNOWN, self.empty))
+            done(wire.result_response(Ros2State.UNKNOWN, self._empty))
         elif goal.result is not None:
             goal.told = True
             done(wire.result_response(goal.state, goal.result))
@@ -147,7 +146,7 @@ class ActionClient:
         else:
             goals = [g for g in self._shelf.unfinished() if not g.state.ended and _is_meant(g, uuid, stamp)]
             id_ = "" if uuid == _ANY else named.id if named is not None else ids.text_of(uuid)
-            self.outside.cancel(wire.goal_id(GoalId(stamp, id_)))
+            self._outside.cancel(wire.goal_id(GoalId(stamp, id_)))
             request_ = _Cancel(goals, single, done)
             self._cancels.append(request_)
             self._answer_cancels()
@@ -184,10 +183,10 @@ class ActionClient:
             if not goal.accepted:
                 self._drop(goal, reason)
             elif goal.state.ended:
-                self._end(goal, goal.state, self.empty)
+                self._end(goal, goal.state, self._empty)
             else:
                 _log.warning("%s: goal %s is aborted: %s", self.name, goal.id, reason)
-                self._end(goal, Ros2State.ABORTED, self.empty)
+                self._end(goal, Ros2State.ABORTED, self._empty)
         self._flush()
 
     def close(self, reason: str) -> None:
@@ -195,7 +194,7 @@ class ActionClient:
         if self._ready:
             for goal in self._shelf.unfinished():
                 if goal.ours and goal.body is None and not goal.state.ended:
-                    self.outside.cancel(wire.goal_id(GoalId(ZERO, goal.id)))
+                    self._outside.cancel(wire.goal_id(GoalId(ZERO, goal.id)))
         self.lost(reason)
 
     def statuses(self, found: Iterable[GoalStatus]) -> None:
@@ -210,7 +209,7 @@ class ActionClient:
         for goal in self._shelf.unfinished():
             if goal.listed and goal.id not in named and not goal.state.ended:
                 _log.warning("%s: goal %s is aborted: the server does not know it any more", self.name, goal.id)
-                self._end(goal, Ros2State.ABORTED, self.empty)
+                self._end(goal, Ros2State.ABORTED, self._empty)
         self._flush()
 
     def result(self, status: GoalStatus, body: bytes) -> None:
@@ -237,7 +236,7 @@ class ActionClient:
             return
         self._follow(goal, status)
         if goal.accepted:
-            self.outside.feedback(goal.uuid + body)
+            self._outside.feedback(goal.uuid + body)
         self._flush()
 
     def tick(self) -> None:
@@ -246,7 +245,7 @@ class ActionClient:
         while self._lost_results and self._lost_results[0][0] <= now:
             _, goal = self._lost_results.popleft()
             if goal.result is None and not goal.refused:
-                self._end(goal, goal.state, self.empty)
+                self._end(goal, goal.state, self._empty)
         if not self._ready:
             for goal in self._shelf.unfinished():
                 if goal.body is not None and goal.since <= now - CONNECT_SECONDS:
@@ -264,7 +263,7 @@ class ActionClient:
     def _send(self, goal: Goal) -> None:
         # A server takes a goal whose stamp is older than its last cancel request's for cancelled; zero is never that.
         body, goal.body = goal.body or b"", None
-        self.outside.goal(wire.action_goal(GoalId(ZERO, goal.id), body))
+        self._outside.goal(wire.action_goal(GoalId(ZERO, goal.id), body))
 
     def _goal(self, status: GoalStatus) -> Goal | None:
         """The goal of a status; one of another client's is taken up."""
@@ -318,7 +317,7 @@ class ActionClient:
         if asker is not None:
             self._refuse(asker, why)
         for done in goal.waiting:
-            done(wire.result_response(Ros2State.UNKNOWN, self.empty))
+            done(wire.result_response(Ros2State.UNKNOWN, self._empty))
         goal.waiting.clear()
         self._answer_cancels()
 
@@ -351,7 +350,7 @@ class ActionClient:
         goals = [g for g in self._shelf.ended_since(now - SHOWN_SECONDS) if not g.refused]
         goals = [*reversed(goals), *(g for g in self._shelf.unfinished() if g.accepted)]
         self._changed, self._told, self._shown = False, now, len(goals)
-        self.outside.status(wire.goal_states([(g.info, g.state) for g in goals]))
+        self._outside.status(wire.goal_states([(g.info, g.state) for g in goals]))
 
 
 def _nothing() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from bridge.adapters.ros1.graph import Link, Look
+from bridge.adapters.ros1.probe import Facts
 
 GOAL, CANCEL, STATUS, FEEDBACK, RESULT = "goal", "cancel", "status", "feedback", "result"
 
@@ -106,3 +107,9 @@ def _type(name: str, types: Mapping[str, str]) -> str:
     type_ = result.removesuffix(_SUFFIXES[RESULT])
     known = ((types.get(topic, ""), wanted) for topic, wanted in topics_of(name, type_).items())
     return type_ if all(is_ in ("", "*", wanted) for is_, wanted in known) else ""
+
+
+def is_native(server: Server, facts: Mapping[Link, Facts]) -> bool | None:
+    """Whether a server is no Midspan's; None while it has not answered."""
+    found = [facts.get(server.link(part)) for part in FROM_SERVER]
+    return None if None in found else all(f is not None and f.native for f in found)

@@ -140,10 +140,12 @@ class Frames:
         if len(self._known) > MAX_FRAMES:
             self._known.clear()
 
+    def __bool__(self) -> bool:
+        """Whether any transform has come."""
+        return bool(self._known)
+
     def trouble(self, frames: list[FrameId]) -> str:
-        """Why a goal in these frames could not be reached, "" where it could; without transforms nobody knows."""
-        if not self._known:
-            return ""
+        """Why a goal in these frames could not be reached, "" where it could."""
         for _, frame, where, pose in frames:
             if not frame and pose:
                 return f"{where} is empty"

@@ -31,10 +31,9 @@ class Stamp(NamedTuple):
     nsecs: int
 
     @classmethod
-    def of(cls, seconds: float) -> Stamp:
-        """The time of a clock in seconds; what 32 bits cannot say is cut off."""
-        nanoseconds = min(max(int(seconds * 1e9), 0), (1 << 32) * 10**9 - 1)
-        return cls(*divmod(nanoseconds, 10**9))
+    def of(cls, nanoseconds: int) -> Stamp:
+        """The time of a clock; what 32 bits cannot say is cut off."""
+        return cls(*divmod(min(max(nanoseconds, 0), (1 << 32) * 10**9 - 1), 10**9))
 
 
 ZERO = Stamp(0, 0)
