@@ -2,6 +2,7 @@
 
 Arguments: router port, ROS domain. Types are those of rosbags' Jazzy store; their definitions and hashes are passed
 explicitly, otherwise the SDK would fetch them from the network. ``topic_info`` topic -> what the SDK sees of a topic.
+Services are those of ``SERVICES``, their hashes the SDK's own; ``serve`` answers -> id and hash.
 """
 
 from __future__ import annotations
@@ -13,10 +14,19 @@ from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
-from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession, get_topic_info, get_topic_names_and_types
+from zenoh_ros2_sdk import (
+    ROS2Publisher,
+    ROS2ServiceClient,
+    ROS2ServiceServer,
+    ROS2Subscriber,
+    ZenohSession,
+    get_topic_info,
+    get_topic_names_and_types,
+)
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile, QosReliability
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
+SERVICES = {"std_srvs/SetBool": ("bool data", "bool success\nstring message")}
 
 
 def full_name(name: str) -> str:
@@ -55,6 +65,65 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+class Serving:
+    """A server that gives one answer to all."""
+
+    def __init__(self, params: dict[str, Any], options: dict[str, Any]) -> None:
+        self._reply, self._error = params.get("reply") or {}, params.get("error", "")
+        self._requests: list[Any] = []
+        self._came = threading.Condition()
+        self.released = threading.Event()
+        if not params.get("held"):
+            self.released.set()
+        self.endpoint = ROS2ServiceServer(params["service"], callback=self._asked, **options)
+
+    def _asked(self, request: Any) -> Any:
+        with self._came:
+            self._requests.append(plain(request))
+            self._came.notify_all()
+        self.released.wait()
+        if self._error:
+            raise RuntimeError(self._error)
+        return self.endpoint.response_msg_class(**self._reply)
+
+    def requests(self, count: int, seconds: float) -> list[Any]:
+        with self._came:
+            self._came.wait_for(lambda: len(self._requests) >= count, seconds)
+            return list(self._requests)
+
+    def close(self) -> None:
+        self.released.set()
+        self.endpoint.close()
+
+
+class Calling:
+    """A call on a thread."""
+
+    def __init__(self, client: ROS2ServiceClient, request: dict[str, Any]) -> None:
+        self._client, self._request = client, request
+        self._reply: Any = None
+        self._error = ""
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            reply = self._client.call(**self._request)
+            if reply is None:
+                self._error = "the SDK says: no reply"  # it writes the reason to its log
+            else:
+                self._reply = plain(reply)
+        except Exception as err:
+            self._error = f"{type(err).__name__}: {err}"
+
+    def result(self, seconds: float) -> dict[str, Any]:
+        self._thread.join(seconds)
+        return {"done": not self._thread.is_alive(), "reply": self._reply, "error": self._error}
+
+    def close(self) -> None:
+        self._client.close()
 
 
 class ZenohPeer:
@@ -110,6 +179,43 @@ class ZenohPeer:
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints.pop(params["id"]).close()
         return {}
+
+    def _service(self, params: dict[str, Any]) -> dict[str, Any]:
+        package, _, name = params["type"].partition("/")
+        request, response = SERVICES[params["type"]]
+        return {
+            "srv_type": f"{package}/srv/{name}",
+            "request_definition": request,
+            "response_definition": response,
+            **self._where,
+        }
+
+    def _add(self, endpoint: Any) -> int:
+        number = len(self._messages)
+        self._messages[number] = []
+        self._endpoints[number] = endpoint
+        return number
+
+    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
+        serving = Serving(params, {"node_name": "sdk_server", **self._service(params)})
+        return {"id": self._add(serving), "hash": serving.endpoint.type_hash}
+
+    def requests(self, params: dict[str, Any]) -> dict[str, Any]:
+        return {"requests": self._endpoints[params["id"]].requests(params.get("count", 1), params.get("seconds", 20.0))}
+
+    def release(self, params: dict[str, Any]) -> dict[str, Any]:
+        self._endpoints[params["id"]].released.set()
+        return {}
+
+    def call(self, params: dict[str, Any]) -> dict[str, Any]:
+        client = ROS2ServiceClient(
+            params["service"], node_name="sdk_client", timeout=params.get("timeout", 20.0), **self._service(params)
+        )
+        return {"id": self._add(Calling(client, params.get("request") or {}))}
+
+    def result(self, params: dict[str, Any]) -> dict[str, Any]:
+        result: dict[str, Any] = self._endpoints[params["id"]].result(params.get("seconds", 20.0))
+        return result
 
     def topic_info(self, params: dict[str, Any]) -> dict[str, Any]:
         info = get_topic_info(params["topic"], verbose=True, **self._where)
