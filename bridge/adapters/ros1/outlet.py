@@ -13,6 +13,9 @@ _log = logging.getLogger(__name__)
 MAX_WAITING = 64 * 2**20
 """Bytes that wait for one subscriber at most, but for the newest message."""
 
+MAX_MESSAGES = 20_000
+"""Messages that wait for one subscriber at most, however many sources they have."""
+
 _LENGTH = struct.Struct("<I")
 _NOW = getattr(socket, "MSG_DONTWAIT", 0)
 
@@ -69,14 +72,21 @@ class Outlet:
 
     def _enqueue(self, payload: bytes, source: str, depth: int) -> None:
         while self._waiting[source] and (self._waiting[source] >= depth or self._bytes + len(payload) > MAX_WAITING):
-            oldest = next(i for i, (s, _) in enumerate(self._queue) if s == source)
-            self._bytes -= len(self._queue[oldest][1])
-            del self._queue[oldest]
-            self._waiting[source] -= 1
-            self.dropped += 1
+            self._drop(next(i for i, (s, _) in enumerate(self._queue) if s == source))
+        if len(self._queue) >= MAX_MESSAGES:
+            self._drop(0)
         self._waiting[source] += 1
         self._bytes += len(payload)
         self._queue.append((source, payload))
+
+    def _drop(self, position: int) -> None:
+        source, payload = self._queue[position]
+        del self._queue[position]
+        self._bytes -= len(payload)
+        self._waiting[source] -= 1
+        if not self._waiting[source]:
+            del self._waiting[source]
+        self.dropped += 1
 
     def _wake(self) -> None:
         if self._thread is None:

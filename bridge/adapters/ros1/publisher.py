@@ -171,6 +171,11 @@ class Publisher:
             topics.release_impl(registration.Registration.PUB, self._topic)
 
     @property
+    def hearers(self) -> frozenset[str]:
+        """The nodes that are connected to the topic now."""
+        return frozenset(transport.endpoint_id for transport in self._publication.connections)
+
+    @property
     def dropped(self) -> int:
         """Messages of this topic that slow subscribers did not get."""
         return self._publication.dropped

@@ -105,6 +105,12 @@ class Subscription:
         """Whether a publisher is to be connected to."""
         return any(source.reader is None for source in list(self._sources.values()))
 
+    @property
+    def connected(self) -> frozenset[Link]:
+        """The publishers that are heard now."""
+        sources = list(self._sources.items())
+        return frozenset(link for link, source in sources if source.reader is not None and not source.reader.done)
+
     def follow(self, publishers: Mapping[Link, Facts]) -> None:
         """Take up the topic's publishers as they are known now."""
         wanted = {link for link, f in publishers.items() if f.native and self._md5 in (f.md5, "*", "")}

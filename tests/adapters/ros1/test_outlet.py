@@ -6,6 +6,7 @@ import threading
 
 import pytest
 
+from bridge.adapters.ros1 import outlet
 from bridge.adapters.ros1.outlet import Outlet
 from tests.support.wait import until
 
@@ -114,3 +115,12 @@ def test_what_waits_is_bounded_in_bytes(pair, monkeypatch):
         received.append(pair.message()[:1])
     assert received[-2] == bytes([19])
     assert len(received) + pair.outlet.dropped == 21
+
+
+def test_sources_without_number_are_bounded_too(pair, monkeypatch):
+    monkeypatch.setattr(outlet, "MAX_MESSAGES", 10)
+    for n in range(200):
+        pair.outlet.send(bytes([n]) * 1_000_000, f"goal {n}", 1)
+    assert len(pair.outlet._queue) == 10
+    assert pair.outlet.dropped >= 100
+    assert [payload[0] for _, payload in pair.outlet._queue] == list(range(190, 200))
