@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bridge.messages.calls import ServiceCodec
 from bridge.messages.definition import FieldType
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
@@ -52,39 +53,6 @@ def from_json(registry: Registry, type_name: str, value: Mapping[str, Any], type
     """
     check = registry.hub_check(type_name, type_hash)
     return check(_JsonWriter(registry.schema(type_name, type_hash)).message(value))
-
-
-class CallCodec:
-    """Requests and replies of a service as JSON values and back; an action's two services are such as well.
-
-    Args:
-        registry: where the type is looked up.
-        type_name: ROS 2 name: ``pkg/srv/Name``, ``pkg/action/Name_SendGoal``, ``pkg/action/Name_GetResult``.
-        type_hash: the very definition that is meant, "" for the one known here.
-
-    Raises:
-        MessageTypeError: the type is unknown.
-    """
-
-    def __init__(self, registry: Registry, type_name: str, type_hash: str = "") -> None:
-        self._request, self._response = registry.service_schemas(type_name, type_hash)
-        self._check_request, self._check_response = registry.hub_service_check(type_name, type_hash)
-
-    def request(self, value: Mapping[str, Any]) -> bytes:
-        """Encode a request; fields that are missing have their defaults; raises `ConversionError`, naming the field."""
-        return self._check_request(_JsonWriter(self._request).message(value))
-
-    def response(self, value: Mapping[str, Any]) -> bytes:
-        """Encode a reply, in the same way."""
-        return self._check_response(_JsonWriter(self._response).message(value))
-
-    def request_value(self, cdr: bytes) -> dict[str, Any]:
-        """Decode a request; raises `ConversionError`."""
-        return _JsonReader(self._request, self._check_request(cdr)).message()
-
-    def response_value(self, cdr: bytes) -> dict[str, Any]:
-        """Decode a reply; raises `ConversionError`."""
-        return _JsonReader(self._response, self._check_response(cdr)).message()
 
 
 class _JsonReader(Reader):
@@ -130,3 +98,9 @@ class _JsonWriter(Writer):
         if isinstance(value, list | tuple):
             return value
         raise wrong(where, "a list or base64 text", value)
+
+
+class CallCodec(ServiceCodec):
+    """Requests and replies of a service as JSON values and back."""
+
+    reader, writer = _JsonReader, _JsonWriter

@@ -24,6 +24,8 @@ from bridge.messages.stores import find_in_store, parse_idl, store_names
 
 Found = dict[str, Definition]
 
+_OWN = Path(__file__).parent / "definitions"
+
 _FULL_TEXT = re.compile(r'^  _full_text = (r?"""(?:[^"\\]|\\.|"(?!""))*""")', re.MULTILINE | re.DOTALL)
 
 
@@ -190,12 +192,11 @@ def ros1_sources(folders: Sequence[Path], packages: Path | None) -> list[Source]
     """
     python = [packages] if packages is not None else _ros1_python_folders()
     shares = [*_split(os.environ.get("ROS_PACKAGE_PATH")), Path("/opt/ros/noetic/share"), Path("/usr/share")]
-    own = Path(__file__).parent / "definitions"
     return [
         *(Tree(folder, World.ROS1) for folder in folders),
         *(Genpy(folder) for folder in python if folder.is_dir()),
         *(Tree(folder, World.ROS1) for folder in shares if folder.is_dir()),
-        Tree(own, World.ROS1),
+        Tree(_OWN / "ros1", World.ROS1),
         Store(World.ROS1),
     ]
 
@@ -214,6 +215,7 @@ def ros2_sources(folders: Sequence[Path], prefixes: Sequence[Path]) -> list[Sour
         *(Tree(folder, World.ROS2) for folder in folders),
         *(Tree(share, World.ROS2) for share in shares if share.is_dir()),
         Tree(own, World.ROS2),
+        Tree(_OWN / "ros2", World.ROS2),
         Store(World.ROS2),
     ]
 
