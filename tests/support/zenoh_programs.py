@@ -214,8 +214,8 @@ class Ros2ddsBridge(Program):
 class Beacon:
     """A plugin's beacon on one key, silent as the plugin's is where others beacon there (``aloha_declaration.rs``)."""
 
-    def __init__(self, session: zenoh.Session, key: str, period: float) -> None:
-        self._period = period
+    def __init__(self, session: zenoh.Session, key: str, period: float, *, sending: bool = True) -> None:
+        self._period, self._sending = period, sending
         self._others = 0
         self._stopping = threading.Event()
         self._publisher = session.declare_publisher(
@@ -234,17 +234,16 @@ class Beacon:
         self._others += 1
 
     def _run(self) -> None:
-        sending = True
         while not self._stopping.is_set():
-            if sending:
+            if self._sending:
                 self._publisher.put(b"")
             self._stopping.wait(self._period)
             others, self._others = self._others, 0
-            if others and sending:
-                sending = random.random() < 0.5
-            elif not others and not sending:
+            if others and self._sending:
+                self._sending = random.random() < 0.5
+            elif not others and not self._sending:
                 self._stopping.wait(random.random() * self._period)
-                sending = not self._others
+                self._sending = not self._others
 
     def undeclare(self) -> None:
         self._stopping.set()

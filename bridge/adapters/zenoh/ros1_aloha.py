@@ -1,9 +1,10 @@
 """How bridges of the ros1 dialect tell each other their topics: beacons, in the manner of ALOHA.
 
 Who has a topic puts an empty sample on its discovery key each second, and is taken for gone after three seconds'
-silence. Who hears another's beacon on the same key may fall silent, and speaks again when the other one does not
+silence. Who hears another's beacon on the same key may fall silent, and speaks again after a second without any
 (zenoh-plugin-ros1 of May 2025, ``aloha_declaration.rs``, ``aloha_subscription.rs``). So that no native bridge falls
-silent because of us, which would look as if it were gone, we always give way.
+silent because of us, which would look as if it were gone, we always give way. One that hears us before we hear it may
+still fall silent: our beacons leave it time to speak again, those of all Midspans on a key together.
 """
 
 from __future__ import annotations
@@ -24,7 +25,11 @@ from bridge.hub.errors import WireError
 _log = logging.getLogger(__name__)
 
 PERIOD = 1.0
-"""Seconds between beacons."""
+"""Seconds between the beacons of a native bridge."""
+
+_PAUSE = 2.25
+"""Periods between beacons of ours: a whole period of whoever is silent, and then up to one more until it speaks, fit
+between two of them; still less than the plugin's three."""
 
 _LOST = 4
 """Periods of silence after which a topic is gone: one more than the plugin's, as two may have met at the start."""
@@ -54,8 +59,12 @@ class _Beacon:
         )
 
     def send(self, now: float) -> None:
-        self.due = now + PERIOD
+        self.rest(now)
         self._publisher.put(b"", source_info=zenoh.SourceInfo(self._publisher.id, 0))
+
+    def rest(self, now: float) -> None:
+        """We or another Midspan just beaconed on the key."""
+        self.due = now + _PAUSE * PERIOD
 
     def close(self) -> None:
         with contextlib.suppress(zenoh.ZError):
@@ -144,7 +153,7 @@ class Aloha:
             beacon.close()
 
     def _on_beacon(self, sample: zenoh.Sample) -> None:
-        if sample.kind != zenoh.SampleKind.PUT or is_marked(sender(sample)):
+        if sample.kind != zenoh.SampleKind.PUT:
             return
         key = str(sample.key_expr)
         try:
@@ -157,6 +166,11 @@ class Aloha:
         if place is None:
             return
         now = time.monotonic()
+        if is_marked(sender(sample)):
+            with self._lock:
+                if place in self._own:
+                    self._own[place].rest(now)
+            return
         with self._lock:
             before = self._heard.get(place)
             if before is None and len(self._heard) >= _MAX_TOPICS:

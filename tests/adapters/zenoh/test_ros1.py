@@ -8,11 +8,14 @@ import pytest
 import zenoh
 
 from bridge.adapters.base import Kind
+from bridge.adapters.zenoh.mark import new_zid
+from bridge.adapters.zenoh.ros1_aloha import Aloha
 from bridge.adapters.zenoh.ros1_keys import Topic, data_key, discovery_key, parse
 from bridge.hub.errors import WireError
 from tests.adapters.zenoh.conftest import Place, cross
 from tests.contract.zenohside import PERIOD
 from tests.support.wait import until
+from tests.support.zenoh_programs import Beacon, open_session
 
 STRING = "std_msgs/String"
 KEY = "7374645f6d7367732f537472696e67/992ce8a1687cec8c8bd883ec73ca41d1/*/chatter"
@@ -93,6 +96,40 @@ def test_native_bridges_never_fall_silent_because_of_us(place: Place) -> None:
     while time.monotonic() < end:
         assert [p.gid for p in place.far.publishers("/chatter")] == [gid]
         time.sleep(PERIOD / 4)
+
+
+def test_a_native_bridge_that_fell_silent_speaks_again(place: Place) -> None:
+    """It heard us before we heard it."""
+    place.bridge({"dialect": "ros1"})
+    place.far.advertise("/chatter", STRING)
+    bridge = place.ros1()
+    until(lambda: f"ros1_discovery_info/*/pub/{KEY}" in bridge.beacons(), "our beacon")
+    beacon = Beacon(bridge.session, bridge.discovery("pub", "/chatter", STRING), PERIOD, sending=False)
+    try:
+        place.far.until_published("/chatter", seconds=30)
+    finally:
+        beacon.undeclare()
+
+
+def test_all_midspans_leave_the_same_pauses(place: Place) -> None:
+    """Or there would be none; two are active where their hubs are not joined."""
+    sessions = [open_session(place.router.endpoint, id=new_zid()) for _ in range(2)]
+    first, second = (Aloha(s, "*", lambda: None, lambda _topic, _first: None) for s in sessions)
+    what = (Kind.PUBLISHER, Topic("/chatter", STRING, "992ce8a1687cec8c8bd883ec73ca41d1"))
+    first.tell(*what)
+    due = first._own[what].due
+
+    def rests() -> bool:
+        second.tell(*what)()
+        return first._own[what].due > due
+
+    try:
+        until(rests, "the first rests when the second beacons", 20)
+    finally:
+        first.close()
+        second.close()
+        for session in sessions:
+            session.close()
 
 
 def test_while_we_stand_still_nobody_is_gone(place: Place) -> None:
