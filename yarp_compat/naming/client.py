@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import socket
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,6 +50,8 @@ class NameClient:
         self._timeout = timeout
         self._registered: dict[str, _Registered] = {}
         self._left: set[str] = set()
+        self._asking: weakref.WeakSet[LineSocket] = weakref.WeakSet()
+        self._hurried = self._given_up = False
 
     @property
     def address(self) -> Address:
@@ -76,6 +79,12 @@ class NameClient:
     def use(self, address: Address) -> None:
         """Ask the name server at this address from now on, whatever yarp.conf says."""
         self._given = address
+
+    def hurry(self, seconds: float) -> None:
+        """From now on every command may take so long, those under way too; after one that takes longer, all fail."""
+        self._timeout, self._hurried = seconds, True
+        for peer in list(self._asking):
+            peer.hurry(seconds)
 
     def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
         """Register a port, and say what a C++ port says of itself; see `Naming.register`."""
@@ -209,7 +218,10 @@ class NameClient:
     def _ask(self, data: bytes) -> LineSocket:
         address = self.address
         try:
+            if self._given_up:
+                raise TimeoutError
             peer = LineSocket(address.host, address.port, self._timeout, limit=MAX_ANSWER)
+            self._asking.add(peer)
             peer.send(data)
         except OSError as err:
             self._found = None  # the file may say another place by now
@@ -218,6 +230,7 @@ class NameClient:
         return peer
 
     def _absent(self, err: OSError) -> NamingError:
+        self._given_up = self._hurried and isinstance(err, TimeoutError)
         why = f"no answer within {self._timeout:g} s" if isinstance(err, TimeoutError) else (err.strerror or str(err))
         msg = (
             f"YARP's name server does not answer at {self._where()}: {why}."

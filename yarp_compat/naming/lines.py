@@ -8,6 +8,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+_STEP = 0.1
+"""Seconds after which a thread that waits looks whether it still should."""
+
 
 class LineSocket:
     """A TCP connection for a short exchange of lines.
@@ -62,8 +65,7 @@ class LineSocket:
         return line.rstrip(b"\r").decode("utf-8", "surrogateescape")
 
     def _more(self) -> None:
-        self._socket.settimeout(self._left())
-        data = self._socket.recv(65536)
+        data = self._some()
         if not data:
             msg = "the connection was closed before the answer was complete"
             raise ConnectionError(msg)
@@ -72,6 +74,18 @@ class LineSocket:
             msg = f"the answer is longer than {self._limit} bytes"
             raise OSError(msg)
         self._buffer += data
+
+    def _some(self) -> bytes:
+        while True:
+            self._socket.settimeout(min(self._left(), _STEP))
+            try:
+                return self._socket.recv(65536)
+            except TimeoutError:
+                continue
+
+    def hurry(self, seconds: float) -> None:
+        """Have the exchange end within so many seconds from now; any thread may ask for that."""
+        self._end = min(self._end, time.monotonic() + seconds)
 
     def _left(self) -> float:
         left = self._end - time.monotonic()

@@ -50,6 +50,9 @@ _SETTLE = 0.02
 _MARK_AGAIN = 3.0
 """Seconds after the name server's return for which ports may be registered without their marks."""
 
+_LAST_WORDS = 0.4
+"""Seconds that a name server has for each command when we stop; one that hangs is given up."""
+
 _AWAKE = 0.9
 """Seconds since its last record for which another worker is awake; less than `bridge.routing.election.SILENCE`."""
 
@@ -109,8 +112,9 @@ class YarpEdge(Edge):
             return
         self._stopping.set()
         self._wake.set()
+        self._network.naming.hurry(_LAST_WORDS)
         if self._clerk.is_alive():
-            self._clerk.join(3.0)
+            self._clerk.join(2 * _LAST_WORDS)
         self._ports.stop()
         self._presence.close()
         self._network.close()

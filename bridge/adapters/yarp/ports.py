@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from bridge.adapters.base import MadeBy
 from bridge.adapters.yarp.contents import Contents
+from bridge.adapters.yarp.crew import Crew
 from bridge.adapters.yarp.graph import Graph
 from bridge.adapters.yarp.inlet import Inlet
 from bridge.adapters.yarp.names import DAEMON, OWNER, PortNames
@@ -35,7 +37,9 @@ _AGAIN = 2.0
 _LINK_AGAIN = 0.5
 """Seconds after which a connection that could not be made is."""
 
-_STOP_SECONDS = 1.5
+_STOP_SECONDS = 1.0
+_LEAVE_SECONDS = 0.02
+"""Seconds that each thread has to end, where it has nothing to do any more."""
 
 
 @dataclass(eq=False)
@@ -90,7 +94,7 @@ class OwnPorts:
         self._own: dict[str, Own] = {}
         self._taken: frozenset[str] = frozenset()
         self._trouble: dict[str, tuple[float, str]] = {}
-        self._pool = ThreadPoolExecutor(_THREADS, "midspan-yarp-links")
+        self._links, self._ends = Crew(_THREADS, "midspan-yarp-links"), Crew(_THREADS, "midspan-yarp-ends")
 
     # -- what there is -------------------------------------------------------------------------------------------------
 
@@ -287,7 +291,7 @@ class OwnPorts:
                     self._trouble[key] = 0.0, f"{peer} is not there; it is connected to {name} when it comes"
                 elif peer not in own.making and now >= own.due.get(peer, 0.0):
                     own.due[peer] = now + _LINK_AGAIN
-                    own.making[peer] = self._pool.submit(self._link, own, peer, link)
+                    own.making[peer] = self._links.submit(partial(self._link, own, peer, link))
             for peer in [peer for peer, future in own.making.items() if future.done()]:
                 del own.making[peer]
 
@@ -315,29 +319,29 @@ class OwnPorts:
 
     # -- the end -------------------------------------------------------------------------------------------------------
 
-    def _close(self, owns: list[Own]) -> bool:
-        """Close ports, all at once; False where that takes too long, and goes on without us."""
+    def _close(self, owns: list[Own]) -> None:
+        """Close ports, all at once; what takes too long goes on without us."""
         self._taken -= {own.core.name for own in owns}
         for own in owns:
             if own.output is not None:
                 own.output.drop(own.core)
             if own.inlet is not None:
                 own.inlet.hear(None)
-        ends = [self._pool.submit(own.core.close) for own in owns]
+        ends = [self._ends.submit(own.core.close) for own in owns]
         deadline = time.monotonic() + _STOP_SECONDS
         for end in ends:
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
             except TimeoutError:
                 _log.warning("closing ports takes long; they are left to themselves")
-                return False
+                return
             except Exception:
                 _log.exception("closing a port failed")
-        return True
 
     def stop(self) -> None:
         """Close everything."""
         owns = list(self._own.values())
         self._own.clear()
-        done = self._close(owns)
-        self._pool.shutdown(wait=done, cancel_futures=True)
+        self._close(owns)
+        for crew in (self._links, self._ends):
+            crew.close(_LEAVE_SECONDS)
