@@ -18,6 +18,7 @@ import rclpy.utilities
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from ros2_calls import Calls  # run as a file, it sees those beside it alone
 
 
 def message_class(name: str) -> Any:
@@ -95,7 +96,8 @@ class Peer:
     def __init__(self, node: Any) -> None:
         self.node = node
         self.countings: dict[int, Counting] = {}
-        self.endpoints: dict[int, Endpoint] = {}
+        self.endpoints: dict[int, Any] = {}
+        self.calls = Calls(node, qos, fill, to_plain)
 
     def advertise(self, params: dict[str, Any]) -> dict[str, Any]:
         type_ = message_class(params["type"])
@@ -107,7 +109,7 @@ class Peer:
         endpoint.handle = self.node.create_subscription(type_, params["topic"], endpoint.receive, qos(params))
         return self._add(endpoint)
 
-    def _add(self, endpoint: Endpoint) -> dict[str, Any]:
+    def _add(self, endpoint: Any) -> dict[str, Any]:
         number = max(self.endpoints, default=0) + 1
         self.endpoints[number] = endpoint
         return {"id": number}
@@ -151,8 +153,45 @@ class Peer:
         last = times[-1] if times else 0.0
         return {"received": len(numbers), "distinct": len(set(numbers)), "last": last, "silence": silence}
 
+    def serve(self, params: dict[str, Any]) -> dict[str, Any]:
+        return self._add(self.calls.serve(params))
+
+    def requests(self, params: dict[str, Any]) -> dict[str, Any]:
+        return {"requests": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 20.0))}
+
+    def release(self, params: dict[str, Any]) -> dict[str, Any]:
+        self.endpoints[params["id"]].release()
+        return {}
+
+    def call(self, params: dict[str, Any]) -> dict[str, Any]:
+        return self._add(self.calls.call(params))
+
+    def result(self, params: dict[str, Any]) -> dict[str, Any]:
+        found: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 20.0))
+        return found
+
+    def act(self, params: dict[str, Any]) -> dict[str, Any]:
+        return self._add(self.calls.act(params))
+
+    def goals(self, params: dict[str, Any]) -> dict[str, Any]:
+        return {"goals": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 20.0))}
+
+    def send_goal(self, params: dict[str, Any]) -> dict[str, Any]:
+        return self._add(self.calls.send_goal(params))
+
+    def cancel(self, params: dict[str, Any]) -> dict[str, Any]:
+        self.endpoints[params["id"]].cancel()
+        return {}
+
+    def goal(self, params: dict[str, Any]) -> dict[str, Any]:
+        return dict(self.endpoints[params["id"]].wait(params.get("until") or {}, params.get("seconds", 20.0)))
+
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
-        handle = self.endpoints.pop(params["id"]).handle
+        endpoint = self.endpoints.pop(params["id"])
+        if not isinstance(endpoint, Endpoint):
+            endpoint.drop()
+            return {}
+        handle = endpoint.handle
         if isinstance(handle, rclpy.publisher.Publisher):
             self.node.destroy_publisher(handle)
         else:

@@ -1,0 +1,107 @@
+"""Shorthands for tests of services: requests and replies by their fields, and what came back."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from bridge.hub.call import Abandon, Call, CallError, Done
+from bridge.messages.registry import Registry
+from bridge.messages.values import Reader, Writer
+
+SET_BOOL = "std_srvs/srv/SetBool"
+ECHO = "diagnostic_msgs/srv/AddDiagnostics"
+"""Its reply has room for the text of the request."""
+
+
+class Service:
+    """One service type's bytes."""
+
+    def __init__(self, registry: Registry, type_name: str) -> None:
+        self.type = registry.service_ros2(type_name)
+        self._request, self._response = registry.service_schemas(type_name)
+
+    def request(self, **fields: Any) -> bytes:
+        return Writer(self._request).message(fields)
+
+    def asked(self, request: bytes) -> Mapping[str, Any]:
+        return Reader(self._request, request).message()
+
+    def response(self, **fields: Any) -> bytes:
+        return Writer(self._response).message(fields)
+
+    def answer(self, response: bytes) -> Mapping[str, Any]:
+        return Reader(self._response, response).message()
+
+
+class Ends:
+    """Hears of the ends of calls."""
+
+    def __init__(self) -> None:
+        self._turn = threading.Condition()
+        self.all: list[bytes | CallError] = []
+
+    def done(self, result: bytes | CallError) -> None:
+        with self._turn:
+            self.all.append(result)
+            self._turn.notify_all()
+
+    def wait(self, count: int = 1, seconds: float = 30.0) -> list[bytes | CallError]:
+        with self._turn:
+            assert self._turn.wait_for(lambda: len(self.all) >= count, seconds), f"{len(self.all)} of {count} ended"
+            return list(self.all)
+
+    def replies(self, count: int = 1, seconds: float = 30.0) -> list[bytes]:
+        """So many replies; fails where a call ended with an error."""
+        found = self.wait(count, seconds)
+        return [reply for reply in found if isinstance(reply, bytes) or fail(reply)]
+
+    def error(self) -> str:
+        """The error with which the only call ended."""
+        (end,) = self.wait()
+        assert isinstance(end, CallError), end
+        return str(end)
+
+
+def fail(error: CallError) -> bool:
+    raise AssertionError(f"the call failed: {error}")
+
+
+class Asked:
+    """What a server of ours was asked; a test answers."""
+
+    def __init__(self) -> None:
+        self._turn = threading.Condition()
+        self.requests: list[tuple[bytes, Done]] = []
+        self.abandoned = 0
+
+    def call(self, request: bytes, done: Done) -> Abandon:
+        with self._turn:
+            self.requests.append((request, done))
+            self._turn.notify_all()
+        return self._abandon
+
+    def _abandon(self) -> None:
+        with self._turn:
+            self.abandoned += 1
+            self._turn.notify_all()
+
+    def wait(self, count: int = 1, seconds: float = 30.0) -> list[tuple[bytes, Done]]:
+        with self._turn:
+            assert self._turn.wait_for(lambda: len(self.requests) >= count, seconds), f"{len(self.requests)} came"
+            return list(self.requests)
+
+
+def nothing() -> None:
+    """What abandons a call that has ended."""
+
+
+def answering(response: bytes) -> Call:
+    """A call that has its reply at once."""
+
+    def call(_request: bytes, done: Done) -> Abandon:
+        done(response)
+        return nothing
+
+    return call

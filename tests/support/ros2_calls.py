@@ -1,0 +1,234 @@
+"""Services and actions of the rclpy program `tests.support.ros2_peer`; see `tests.support.peer` for the commands."""
+
+from __future__ import annotations
+
+import importlib
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+Fill = Callable[[Any, dict[str, Any]], Any]
+Plain = Callable[[Any], Any]
+
+
+def found(name: str, folder: str) -> Any:
+    """The class of a service or action spelled ``package/Name``."""
+    package, _, short = name.rpartition("/")
+    return getattr(importlib.import_module(f"{package}.{folder}"), short)
+
+
+class Serving:
+    """A service that gives one answer to all; one with ``error`` gives none, as ROS 2 has no other way to fail."""
+
+    def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
+        self.node, self.fill, self.plain = node, fill, plain
+        self.reply, self.error = params.get("reply") or {}, params.get("error", "")
+        self.echo = params.get("echo", {})
+        self.requests: list[Any] = []
+        self.arrived = threading.Condition()
+        self.held: Any = Future()
+        if not params.get("held"):
+            self.held.set_result(None)
+        if self.error:
+            self.held = Future()
+        self.handle = node.create_service(
+            found(params["type"], "srv"),
+            params["service"],
+            self.asked,
+            qos_profile=profile,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    async def asked(self, request: Any, response: Any) -> Any:
+        with self.arrived:
+            self.requests.append(self.plain(request))
+            self.arrived.notify_all()
+        if not self.held.done():
+            await self.held
+        for target, source in self.echo.items():
+            setattr(response, target, getattr(request, source))
+        return self.fill(response, self.reply)
+
+    def wait(self, count: int, seconds: float) -> list[Any]:
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.requests) >= count, seconds)
+            return list(self.requests)
+
+    def release(self) -> None:
+        if not self.error and not self.held.done():
+            self.held.set_result(None)
+            self.node.executor.wake()  # who awaits a future is not woken by its result
+
+    def drop(self) -> None:
+        self.node.destroy_service(self.handle)
+
+
+class Calling:
+    """Calls of one service, made at once; their replies in the order of the calls."""
+
+    def __init__(self, client: Any, requests: list[Any], plain: Plain) -> None:
+        self.plain = plain
+        self.done = threading.Event()
+        self.left = len(requests)
+        self.lock = threading.Lock()
+        self.futures = [client.call_async(request) for request in requests]
+        for future in self.futures:
+            future.add_done_callback(self.one)
+
+    def one(self, _future: Any) -> None:
+        with self.lock:
+            self.left -= 1
+            if not self.left:
+                self.done.set()
+
+    def result(self, seconds: float) -> dict[str, Any]:
+        done = self.done.wait(seconds)
+        replies = [self.plain(future.result()) if future.done() else None for future in self.futures]
+        return {"done": done, "reply": replies[0], "replies": replies, "error": ""}
+
+    def drop(self) -> None:
+        """Its client stays."""
+
+
+class Acting:
+    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+
+    def __init__(self, node: Any, params: dict[str, Any], fill: Fill, plain: Plain) -> None:
+        self.fill, self.plain = fill, plain
+        self.type = found(params["type"], "action")
+        self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
+        self.outcome = params.get("outcome", "succeed")
+        self.goals: list[Any] = []
+        self.arrived = threading.Condition()
+        self.released = threading.Event()
+        if not params.get("held"):
+            self.released.set()
+        self.handle = ActionServer(
+            node,
+            self.type,
+            params["action"],
+            self.execute,
+            goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
+            handle_accepted_callback=self.accepted,
+            cancel_callback=lambda _goal: CancelResponse.REJECT if params.get("keeps") else CancelResponse.ACCEPT,
+        )
+
+    def accepted(self, handle: Any) -> None:
+        """Run each goal on a thread of its own, so that a held one holds nothing up."""
+        with self.arrived:
+            self.goals.append(self.plain(handle.request))
+            self.arrived.notify_all()
+        threading.Thread(target=handle.execute, daemon=True).start()
+
+    def execute(self, handle: Any) -> Any:
+        for fields in self.feedback:
+            handle.publish_feedback(self.fill(self.type.Feedback(), fields))
+        while not self.released.wait(0.01) and not handle.is_cancel_requested:
+            pass
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif self.outcome == "abort":
+            handle.abort()
+        else:
+            handle.succeed()
+        return self.fill(self.type.Result(), self.result)
+
+    def wait(self, count: int, seconds: float) -> list[Any]:
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.goals) >= count, seconds)
+            return list(self.goals)
+
+    def release(self) -> None:
+        self.released.set()
+
+    def drop(self) -> None:
+        self.released.set()
+        self.handle.destroy()
+
+
+class Goal:
+    """A goal of an action client, and what it heard of it."""
+
+    def __init__(self, client: ActionClient, goal: Any, plain: Plain) -> None:
+        self.plain = plain
+        self.handle: Any = None
+        self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
+        self.news = threading.Condition()
+        client.send_goal_async(goal, feedback_callback=self.heard).add_done_callback(self.answered)
+
+    def tell(self, **news: Any) -> None:
+        with self.news:
+            self.state.update(news)
+            self.news.notify_all()
+
+    def heard(self, message: Any) -> None:
+        self.tell(feedback=[*self.state["feedback"], self.plain(message.feedback)])
+
+    def answered(self, future: Any) -> None:
+        self.handle = future.result()
+        self.tell(accepted=self.handle.accepted)
+        if self.handle.accepted:
+            self.handle.get_result_async().add_done_callback(self.ended)
+
+    def ended(self, future: Any) -> None:
+        found = future.result()
+        self.tell(status=found.status, result=self.plain(found.result))
+
+    def cancel(self) -> None:
+        self.handle.cancel_goal_async().add_done_callback(lambda f: self.tell(cancel=f.result().return_code))
+
+    def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
+        """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""
+
+        def there() -> bool:
+            state = {**self.state, "feedback": len(self.state["feedback"])}
+            return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
+
+        with self.news:
+            self.news.wait_for(there, seconds)
+            return dict(self.state)
+
+    def drop(self) -> None:
+        """Its client stays."""
+
+
+class Calls:
+    """The commands; a part of the peer."""
+
+    def __init__(self, node: Any, profile: Callable[[dict[str, Any]], Any], fill: Fill, plain: Plain) -> None:
+        self.node, self.profile, self.fill, self.plain = node, profile, fill, plain
+        self.clients: dict[tuple[str, str], Any] = {}
+        self.action_clients: dict[tuple[str, str], ActionClient] = {}
+
+    def serve(self, params: dict[str, Any]) -> Serving:
+        return Serving(self.node, params, self.profile(params), self.fill, self.plain)
+
+    def client(self, params: dict[str, Any]) -> Any:
+        key = params["service"], params["type"]
+        if key not in self.clients:
+            profile = self.profile(params)
+            self.clients[key] = self.node.create_client(found(key[1], "srv"), key[0], qos_profile=profile)
+        return self.clients[key]
+
+    def call(self, params: dict[str, Any]) -> Calling:
+        type_ = found(params["type"], "srv")
+        requests = params.get("requests") or [params.get("request") or {}]
+        client = self.client(params)
+        assert client.wait_for_service(params.get("seconds", 20.0)), f"no server of {params['service']}"
+        return Calling(client, [self.fill(type_.Request(), fields) for fields in requests], self.plain)
+
+    def send_goal(self, params: dict[str, Any]) -> Goal:
+        key = params["action"], params["type"]
+        type_ = found(key[1], "action")
+        if key not in self.action_clients:
+            self.action_clients[key] = ActionClient(self.node, type_, key[0])
+        client = self.action_clients[key]
+        assert client.wait_for_server(params.get("seconds", 20.0)), f"no server of {params['action']}"
+        return Goal(client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
+
+    def act(self, params: dict[str, Any]) -> Acting:
+        return Acting(self.node, params, self.fill, self.plain)
