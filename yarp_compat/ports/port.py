@@ -264,6 +264,12 @@ class PortCore:
         return from_line(reply.strip(), profile) if output.carrier.text else reply
 
     @property
+    def answers_in(self) -> Profile | None:
+        """The dialect of the port that answers requests; None where it is not known, or there is none."""
+        outputs = self.connections.outputs
+        return outputs[0].profile if outputs else None
+
+    @property
     def is_writing(self) -> bool:
         """Whether a message is still on its way to a peer."""
         return any(output.busy for output in self.connections.outputs)

@@ -209,9 +209,21 @@ def test_closing_waits_for_nobody_long(make_port: MakePort, naming: LocalNaming)
             port.close()
 
 
-def test_channels_know_their_server(make_port: MakePort, naming: LocalNaming) -> None:
-    for profile in Profile:
-        make_port(f"/server{profile.value}", Server(Kept()), rpc=True, profile=profile)
-        client = make_port(f"/client{profile.value}", rpc=True)
-        assert client.add_output(f"/server{profile.value}")[0]
-        assert Places(PortChannel(client, timeout=10)).count(2, 3.0) == 5
+def test_a_channel_knows_its_server(make_port: MakePort) -> None:
+    """A server of 4.0 takes numbers of 3.12 for no request at all."""
+    got = []
+
+    def take(message: Message) -> None:
+        got.append(bytes(message.payload))
+        message.reply(encode([5], Profile.YARP4))
+
+    make_port("/server", take, profile=Profile.YARP4)
+    client = make_port("/client", rpc=True)
+    channel = PortChannel(client, timeout=10)
+    assert channel.generation is Generation.YARP_3_12
+    assert client.add_output("/server")[0]
+    assert channel.generation is Generation.YARP_4
+    assert Places(channel).count(2, 3.0) == 5
+    assert got == [Places.calls()["count"].request([2, 3.0], Profile.YARP4)]
+    channel.generation = Generation.YARP_3_6
+    assert channel.generation is Generation.YARP_3_6, "what replies tell outweighs that"
