@@ -7,9 +7,9 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from bridge.adapters.base import (
     Deliver,
@@ -25,6 +25,9 @@ from bridge.adapters.base import (
     Sighting,
 )
 from bridge.adapters.ros1 import names
+from bridge.adapters.ros1.actions import parts
+from bridge.adapters.ros1.actions.actions import Actions
+from bridge.adapters.ros1.actions.network import Network
 from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.graph import Link, Look
 from bridge.adapters.ros1.lanes import Lanes
@@ -43,7 +46,11 @@ from bridge.messages.registry import Registry
 if TYPE_CHECKING:
     from bridge.adapters.ros1.master import Master
     from bridge.adapters.ros1.node import Node
+    from bridge.adapters.ros1.parameters.follower import Parameters
+    from bridge.adapters.ros1.publisher import Publisher
     from bridge.adapters.ros1.subscription import Subscription
+    from bridge.config.sections.parameters import ParameterRule
+    from bridge.hub.session import Hub
 
 _log = logging.getLogger(__name__)
 
@@ -75,10 +82,15 @@ class Ros1Edge(Edge):
             found=self._graph_changed, wake=self._wake_master, doubt=self._doubt_service,
             limit=config.limits.message_bytes,
         )  # fmt: skip
+        check = config.ros1.goal_frames == "check"
+        self._actions = Actions(Network(
+            self._caller, self._prober.facts, registry, lambda: self.clock, self._hear, self._tell, self._refuse, check
+        ))  # fmt: skip
         self._settled = float("-inf")
         self._listener: EdgeListener | None = None
         self._node: Node | None = None
         self._master: Master | None = None
+        self._parameters: Parameters | None = None
         self._stopped = False
 
     # -- life ----------------------------------------------------------------------------------------------------------
@@ -113,6 +125,7 @@ class Ros1Edge(Edge):
         if self._master is not None:
             self._master.stop()
         self._services.stop()
+        self._actions.stop()
         for opened in subscriptions:
             opened.close()
         self._lanes.stop()
@@ -148,15 +161,18 @@ class Ros1Edge(Edge):
         return origin.side == self.side and origin.network == self.network()
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """The other nodes' publishers, subscriptions and servers; ROS 1 knows nothing of clients."""
+        """The other nodes' publishers, subscriptions and servers; ROS 1 knows nothing of clients.
+
+        The topics of actions are shown as the parts of ROS 2 actions.
+        """
         look = self._look
         if look is None:
             return ()
         own, facts = self._caller(), self._prober.facts()
         found = [self._publisher(link, look, facts.get(link)) for link in look.publishers if link.node != own]
         found += [self._subscriber(link, look) for link in look.subscribers if link.node != own]
-        found += self._services.endpoints(look)
-        return found
+        found = [e for e in found if not self._actions.is_part(e.topic, e.type)]
+        return [*found, *self._services.endpoints(look), *self._actions.endpoints()]
 
     def is_heard(self, topic: str) -> bool:
         """See `Edge.is_heard`; asked each second, so without making endpoints of everything."""
@@ -194,7 +210,7 @@ class Ros1Edge(Edge):
         for (topic, node), why in sorted(turned_away.items()):
             if (topic, node) in heard:
                 warnings.append(f"{topic}: {node} does not hear us: {why}")
-        return [*warnings, *self._services.warnings()]
+        return [*warnings, *self._services.warnings(), *self._actions.warnings(), *self._parameter_warnings()]
 
     @staticmethod
     def _publisher(link: Link, look: Look, facts: Facts | None) -> Endpoint:
@@ -226,7 +242,9 @@ class Ros1Edge(Edge):
         if changed:
             publishers = frozenset(p for p in look.publishers if p.node != self._node.name) if look else frozenset()
             self._publishers = publishers
-            self._names.learn({k.topic for k in publishers | look.subscribers | look.servers} if look else ())
+            self._actions.seen(look)
+            links = publishers | look.subscribers | look.servers if look else frozenset()
+            self._names.learn({k.topic for k in links} | self._actions.names())
             self._lanes.forget({k.uri for k in publishers | (look.servers if look else frozenset())})
         if changed or self._prober.waiting:
             self._prober.follow(self._publishers)
@@ -280,6 +298,8 @@ class Ros1Edge(Edge):
 
     def to_hub(self, endpoint: Endpoint) -> Conversion:
         """See `Edge.to_hub`."""
+        if parts.split(endpoint.topic, endpoint.type):
+            self._actions.learn(endpoint.topic)
         return self._registry.ros1_to_hub(endpoint.type, endpoint.type_id, endpoint.definition)
 
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
@@ -288,6 +308,8 @@ class Ros1Edge(Edge):
 
     def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
         """See `Edge.service_to_hub`."""
+        if parts.split(endpoint.topic, endpoint.type):
+            self._actions.learn(endpoint.topic)
         return self._registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
 
     def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
@@ -310,11 +332,18 @@ class Ros1Edge(Edge):
 
     def subscribe(self, topic: str, side_type: SideType, qos: Qos, deliver: Deliver) -> EdgeSubscription:  # noqa: ARG002
         """Hear the native publishers of a topic that have this type; ROS 1 has no QoS to ask for."""
+        part = parts.split(topic, side_type.name)
+        return (
+            self._actions.subscribe(*part, side_type.name, deliver) if part else self._hear(topic, side_type, deliver)
+        )
+
+    def _hear(self, topic: str, side_type: SideType, deliver: Deliver, suffix: str = "") -> _Open:
         from bridge.adapters.ros1.subscription import Subscription
 
         subscription = Subscription(
             topic, side_type.type_id, deliver,
-            lanes=self._lanes, caller=self._caller, doubt=self._prober.doubt, learned=self._prober.learned,
+            lanes=self._lanes, caller=lambda: self._caller() + suffix,
+            doubt=self._prober.doubt, learned=self._prober.learned,
             refused=lambda reason, why: self._refuse(topic, reason, why), limit=self._config.limits.message_bytes,
         )  # fmt: skip
         opened = _Open(self, subscription)
@@ -329,17 +358,46 @@ class Ros1Edge(Edge):
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a topic; latched QoS keeps the last ``depth`` messages of each source for late joiners."""
+        part = parts.split(topic, side_type.name)
+        return self._actions.advertise(*part) if part else self._tell(topic, side_type, qos)
+
+    def _tell(self, topic: str, side_type: SideType, qos: Qos) -> Publisher:
         from bridge.adapters.ros1.publisher import Publisher
 
         return Publisher(topic, side_type, qos, self._config.name)
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Calls the native server of a service, over persistent connections; see `Edge.caller`."""
-        return self._services.caller(name, side_type)
+        part = parts.split(name, side_type.name)
+        return self._actions.caller(*part, side_type.name) if part else self._services.caller(name, side_type)
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve a service; a native server of the name keeps it, see `Edge.serve`."""
+        part = parts.split(name, side_type.name)
+        if part:
+            return self._actions.serve(*part, side_type.name, call)
         return self._services.servers.open(name, side_type, call)
+
+    def carry_parameters(
+        self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
+    ) -> Callable[[], None]:
+        """Carry them between the master's parameter server and the hub; see `Edge.carry_parameters`."""
+        if not rules or self._node is None or self._master is None:
+            return super().carry_parameters(rules, hub, active)
+        from bridge.adapters.ros1.parameters.follower import Parameters
+        from bridge.adapters.ros1.parameters.store import Store
+
+        store = Store(self._master.uri, self._caller, self._node.uri)
+        self._parameters = Parameters(rules, hub, self._registry, store, active)
+        self._node.hear_parameters(self._parameters.changed)
+        return self._parameters.stop
+
+    def details(self) -> dict[str, Any]:
+        """The shared parameters."""
+        return {} if self._parameters is None else {"parameters": self._parameters.details()}
+
+    def _parameter_warnings(self) -> list[str]:
+        return [] if self._parameters is None else self._parameters.warnings()
 
     def closed(self, opened: _Open) -> None:
         """A subscription was given back."""
@@ -357,6 +415,11 @@ class _Open:
     def lost(self) -> int:
         """TCP loses nothing, and a publisher does not tell what its queue dropped."""
         return 0
+
+    @property
+    def connected(self) -> frozenset[Link]:
+        """The publishers that are heard now."""
+        return self.subscription.connected
 
     def close(self) -> None:
         """Stop delivering and give the registration back."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field
 
@@ -23,6 +24,11 @@ class Ros1Section(Section):
     )
     node: NodeName = Field(default="midspan", description="Node name on the ROS 1 graph.")
     poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the master's graph.")
+    goal_frames: Literal["check", "pass"] = Field(
+        default="check",
+        description="Goals of actions: `check` takes leading slashes off their frames and rejects goals in frames that"
+        " no transform of this side names, which a move_base would follow for ever; `pass` leaves them as they are.",
+    )
     packages: Path | None = Field(
         default=None, description="Folder with the ROS 1 Python packages; default the system's dist-packages."
     )
