@@ -31,6 +31,7 @@ class ForeignPort:
     topic: str
     type: str
     content: Content
+    profile: Profile | None
     carrier: str
     latched: bool
 
@@ -59,7 +60,8 @@ class Contents:
     def _foreign(self, rule: Topic) -> ForeignPort:
         assert rule.port is not None
         content = self._content(rule)
-        return ForeignPort(rule.port, rule.topic, rule.type or "", content, rule.carrier or "", rule.latched)
+        profile = Profile(rule.profile) if rule.profile else None
+        return ForeignPort(rule.port, rule.topic, rule.type or "", content, profile, rule.carrier or "", rule.latched)
 
     def _content(self, rule: Topic) -> Content:
         return Content(

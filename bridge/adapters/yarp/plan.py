@@ -18,7 +18,7 @@ class Link:
 
     Attributes:
         carrier: "" for the usual one.
-        profile: the other port's, None for the usual one.
+        profile: the other port's, None for what it says itself.
     """
 
     carrier: str = ""
@@ -94,7 +94,7 @@ def _outputs(wanted: Wanted, contents: Contents, names: PortNames, graph: Graph)
     for port in contents.outgoing:
         if port.topic != topic or port.type not in ("", wanted.type):
             continue
-        link = Link(port.carrier, port.content.profile)
+        link = Link(port.carrier, port.profile)
         if _same(port.content, own):
             links[port.port] = link
         else:
@@ -123,7 +123,7 @@ def _inputs(wanted: Wanted, contents: Contents, names: PortNames, graph: Graph) 
     for port in contents.incoming:
         if port.topic == topic and port.type == wanted.type and graph.is_there(port.port):
             name = names.input_from(topic, port.port)
-            links = {port.port: Link(port.carrier, port.content.profile)}
+            links = {port.port: Link(port.carrier, port.profile)}
             yield PortPlan(name, False, topic, wanted.type, wanted.type_hash, port.content, False, port.port, links)
     nodes = {
         node.port: Link()

@@ -104,11 +104,14 @@ def _payload(bottle: list[Any], profile: Profile) -> bytes:
 
 @pytest.mark.parametrize("profile", Profile)
 def test_yarps_own_classes_read_and_write(place: Place, profile: Profile) -> None:
-    """Scans, odometry, pictures, clouds and vectors as the classes of YARP's programs have them."""
+    """Scans, odometry, pictures, clouds and vectors as the classes of YARP's programs have them.
+
+    The configuration does not say which YARP that is: the programs' ports do.
+    """
     types = {"scan": "sensor_msgs/LaserScan", "odom": "nav_msgs/Odometry", "picture": "sensor_msgs/Image",
              "cloud": "sensor_msgs/PointCloud2", "numbers": "std_msgs/Float64MultiArray"}  # fmt: skip
     rules = [{"topic": f"/{n}_in", "type": t.replace("/", "/msg/")} for n, t in types.items()]
-    place.bridge(*rules, yarp={"as": "natural", "profile": profile.value})
+    place.bridge(*rules, yarp={"as": "natural"})
     pixels = bytes(range(2 * 3 * 3))
     points = b"".join(struct.pack("<4f", n, n + 1, n + 2, 0.0) for n in range(3))
     fields = [{"name": a, "offset": 4 * i, "datatype": 7, "count": 1} for i, a in enumerate("xyz")]
