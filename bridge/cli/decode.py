@@ -61,6 +61,14 @@ class Types:
             if not self._ask(name, type_hash):
                 raise CliError(self._unknown(name, err)) from None
 
+    def prepare_service(self, name: str, type_hash: str) -> None:
+        """Have the definition of a service with this very hash; raises `CliError` where nobody tells it."""
+        try:
+            self.registry.service_schemas(name, type_hash)
+        except MessageTypeError as err:
+            if not self._ask(name, type_hash):
+                raise CliError(self._unknown(name, err)) from None
+
     def _ask(self, name: str, type_hash: str) -> bool:
         for answer in self._client.ask("type", {"name": name}):
             value = answer.value if isinstance(answer.value, dict) else {}

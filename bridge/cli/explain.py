@@ -1,4 +1,4 @@
-"""``midspan explain TOPIC``: why is this topic bridged, or why is it not?"""
+"""``midspan explain NAME``: why is this topic, service or action bridged, or why is it not?"""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from bridge.cli.topic_info import endpoint_json, endpoint_text, unknown_topic
 from bridge.cli.topic_view import Decision, absolute, ask_decisions, known_names
 from bridge.doctor import hubtypes
 from bridge.hub.graph import HubEndpoint
+from bridge.routing.subject import split
 
 _WORDS = {
     "bridged": "crosses",
@@ -35,11 +36,12 @@ def register(subparsers: Any) -> None:
     """Add the verb's parser."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "explain",
-        help="say why a topic is or is not bridged",
-        description="Asks every worker what it decided of a topic and why, adds what the hub itself shows, and says it"
-        " in sentences, with the cure where something stands in the way. Exit code 1 where nobody knows the topic.",
+        help="say why a topic, service or action is or is not bridged",
+        description="Asks every worker what it decided of a topic, service or action and why, adds what the hub itself"
+        " shows, and says it in sentences, with the cure where something stands in the way. Exit code 1 where nobody"
+        " knows it.",
     )
-    parser.add_argument("topic", help="the topic's name, on the hub or on a side; or that of a YARP port of ours")
+    parser.add_argument("topic", help="its name, on the hub or on a side; or that of a YARP port of ours")
     parser.add_argument("--json", action="store_true", help="print it as JSON")
     add_hub_arguments(parser)
 
@@ -87,10 +89,8 @@ def explain(client: Client, topic: str) -> Explanation:
     documents = [a.value for a in client.ask("status") if isinstance(a.value, dict)]
     client.settle()
     names = {topic} | {d.hub_topic for d in decisions if d.decision == "bridged"}
-    graph = client.hub.graph
-    endpoints = [
-        e for name in sorted(names) for e in (*graph.publishers(name), *graph.subscriptions(name)) if not e.own
-    ]
+    endpoints = [e for e in client.hub.graph.endpoints() if not e.own and names & {e.topic, split(e.topic)[0]}]
+    endpoints.sort(key=lambda e: (e.topic, e.kind))
     ports = [
         port for document in documents for port in port_list(document) if names & {port.get("topic"), port.get("port")}
     ]
@@ -105,11 +105,16 @@ def explain(client: Client, topic: str) -> Explanation:
 
 def _decisions(client: Client, topic: str) -> list[Decision]:
     """What was decided of a topic; where it has another name on the hub, of what becomes of that too."""
-    decisions = ask_decisions(client, topic)
+    decisions = ask_decisions(client, topic, kind=None) or _of_action(client, topic)
     renamed = {d.hub_topic for d in decisions if d.decision == "bridged" and d.direction == "in"} - {topic}
     for name in sorted(renamed):
-        decisions += [d for d in ask_decisions(client, name) if d.direction == "out" and d not in decisions]
+        decisions += [d for d in ask_decisions(client, name, kind=None) if d.direction == "out" and d not in decisions]
     return decisions
+
+
+def _of_action(client: Client, name: str) -> list[Decision]:
+    """What was decided of the parts of an action."""
+    return [d for d in ask_decisions(client, "", kind=None) if name in (split(d.topic)[0], split(d.hub_topic)[0])]
 
 
 def _route(decision: Decision, documents: Sequence[Document]) -> Document | None:
@@ -181,17 +186,33 @@ def _sentences(explanation: Explanation) -> list[str]:
     for decision, route in explanation.decisions:
         whose = f" (daemon {decision.daemon})" if several else ""
         lines += _decision_lines(decision, route, whose)
-    publishers = [e for e in explanation.endpoints if e.kind == "publisher"]
-    subscriptions = [e for e in explanation.endpoints if e.kind == "subscription"]
-    lines.append(f"On the hub: {plural(len(publishers), 'publisher')}, {plural(len(subscriptions), 'subscription')}.")
-    lines += [f"    published by {endpoint_text(e)}" for e in publishers]
-    lines += [f"    heard by {endpoint_text(e)}" for e in subscriptions]
+    lines += _hub_lines(explanation)
     for port in explanation.ports:
         lines += port_lines(port)
     for note in explanation.notes:
         lines.append(f"Note: {clean(note.text)}.")
         if note.cure:
             lines.append(f"    cure: {clean(note.cure)}")
+    return lines
+
+
+_KINDS = {
+    "publisher": "published by",
+    "subscription": "heard by",
+    "server": "served by",
+    "client": "called by",
+}
+
+
+def _hub_lines(explanation: Explanation) -> list[str]:
+    """Who has it on the hub."""
+    ends = explanation.endpoints
+    kinds = ("server", "client") if any(e.kind in ("server", "client") for e in ends) else ("publisher", "subscription")
+    counts = [plural(sum(1 for e in ends if e.kind == kind), kind) for kind in kinds]
+    lines = [f"On the hub: {', '.join(counts)}."]
+    for e in ends:
+        part = f" ({e.topic})" if e.topic != explanation.topic else ""
+        lines.append(f"    {_KINDS[e.kind]} {endpoint_text(e)}{clean(part)}")
     return lines
 
 
@@ -213,6 +234,8 @@ def _decision_lines(decision: Decision, route: Document | None, whose: str) -> l
 
 
 def _flow(route: Document) -> str:
+    if route.get("kind") == "service":
+        return _calls(route)
     if not route.get("messages"):
         return f"no message has come yet; drops: {drops_text(route)}"
     speed = rate(route.get("rate"))
@@ -231,3 +254,13 @@ def _as_json(explanation: Explanation) -> dict[str, Any]:
         "ports": list(explanation.ports),
         "notes": [dataclasses.asdict(note) for note in explanation.notes],
     }
+
+
+def _calls(route: Document) -> str:
+    if not route.get("messages"):
+        return "nobody has called yet"
+    under_way = f", {route['pending']} under way" if route.get("pending") else ""
+    return (
+        f"{plural(route['messages'], 'call')}, the last one {duration(route.get('age'))} ago: {route.get('replies', 0)}"
+        f" replies, {route.get('errors', 0)} errors, {route.get('abandoned', 0)} given up by their callers{under_way}"
+    )

@@ -62,7 +62,7 @@ def register(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Publish as often as told."""
-    topic, fields = absolute(args.topic), _fields(args.message)
+    topic, fields = absolute(args.topic), yaml_fields(args.message)
     with open_client(args) as client:
         types = Types(client)
         name = types.name(args.type)
@@ -128,8 +128,8 @@ def _warn_of_other_types(client: Client, topic: str, name: str) -> None:
         print(f"{topic} is {clean(', '.join(sorted(others)))} elsewhere, not {name}", file=sys.stderr)
 
 
-def _fields(text: str) -> dict[str, Any]:
-    """The fields from YAML 1.2 or JSON."""
+def yaml_fields(text: str) -> dict[str, Any]:
+    """A message's fields from YAML 1.2 or JSON; raises `CliError`."""
     try:
         value = YAML(typ="safe", pure=True).load(text)
     except (RecursionError, TypeError, ValueError, YAMLError) as err:

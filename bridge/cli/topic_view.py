@@ -70,12 +70,12 @@ def absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
 
 
-def ask_decisions(client: Client, topic: str) -> list[Decision]:
-    """What every worker decided of a topic; of all topics where the name is ""."""
+def ask_decisions(client: Client, topic: str, kind: str | None = "topic") -> list[Decision]:
+    """What every worker decided of a topic, a service, or with None either; of all of them where the name is ""."""
     found: list[Decision] = []
     for answer in client.ask("explain", {"topic": topic}):
         for entry in answer.value if isinstance(answer.value, list) else ():
-            if isinstance(entry, dict):
+            if isinstance(entry, dict) and kind in (None, entry.get("kind", "topic")):
                 words = {name: str(entry.get(name, "")) for name in Decision.__slots__[2:]}
                 found.append(Decision(answer.daemon, answer.worker, **words))
     return found

@@ -30,6 +30,8 @@ VERBS: dict[str, Verb] = {
     "explain": Verb("bridge.cli.explain", "say why a topic is or is not bridged"),
     "doctor": Verb("bridge.cli.doctor", "look for what commonly goes wrong, and say the cure"),
     "topic": Verb("bridge.cli.topic", "list, info, echo, hz and pub on any side's topics"),
+    "service": Verb("bridge.cli.service", "list, info and call on any side's services"),
+    "action": Verb("bridge.cli.action", "list, info and send on any side's actions"),
     "yarp": Verb("bridge.cli.yarp", "look at and use a YARP network, as YARP's own tool does"),
     "config": Verb("bridge.cli.config", "check a configuration file; print its schema or an example"),
     "import": Verb("bridge.cli.import_config", "turn another bridge's configuration into ours"),

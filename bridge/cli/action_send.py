@@ -1,0 +1,142 @@
+"""``midspan action send``: one goal, its feedback and its result."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import sys
+import time
+import uuid
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple
+
+from bridge.cli.calling import Caller, spelled, type_and_values
+from bridge.cli.decode import Types
+from bridge.cli.errors import CliError
+from bridge.cli.hubclient import Client, open_client
+from bridge.cli.text import clean
+from bridge.cli.topic_pub import yaml_fields
+from bridge.cli.topic_view import absolute
+from bridge.cli.yaml_text import json_line, message_text
+from bridge.hub.call import CallError
+from bridge.hub.qos import Qos
+from bridge.hub.subscription import HubSample
+from bridge.messages.errors import ConversionError
+
+_SUCCEEDED = 4
+_STATES = {4: "succeeded", 5: "canceled", 6: "aborted"}
+_LONGEST = 3600.0
+
+
+class _Feedback(NamedTuple):
+    cdr: bytes
+
+
+class _End(NamedTuple):
+    reply: dict[str, Any] | CallError
+
+
+def send(args: argparse.Namespace) -> int:
+    """Send a goal and follow it; the exit code."""
+    type_name, values = type_and_values(args.goal)
+    goal = yaml_fields(values)
+    with open_client(args) as client:
+        sent = _Goal(client, absolute(args.name), spelled(type_name, "action"))
+        try:
+            sent.begin(goal)
+            end = sent.follow(args)
+        except KeyboardInterrupt:
+            end = _give_up(sent, args, "Ctrl-C")
+        except TimeoutError:
+            end = _give_up(sent, args, f"{args.timeout:g} s are over")
+        return _tell_end(end, args)
+
+
+class _Goal:
+    """The goal that is sent."""
+
+    def __init__(self, client: Client, name: str, type_name: str) -> None:
+        types = Types(client)
+        part = f"{name}/_action/"
+        self.name, self._types = name, types
+        self._send = Caller(client, types, f"{part}send_goal", f"{type_name}_SendGoal" if type_name else "")
+        self.type_name = self._send.type_name.removesuffix("_SendGoal")
+        self._result = Caller(client, types, f"{part}get_result")
+        self._cancel = Caller(client, types, f"{part}cancel_goal")
+        self._id = uuid.uuid4().bytes
+        self._uuid = {"uuid": base64.b64encode(self._id).decode()}
+        self._asked = False
+        self._news: SimpleQueue[_Feedback | _End] = SimpleQueue()
+        self._feedback_type = f"{self.type_name}_FeedbackMessage"
+        self._feedback_hash = types.hash_of(self._feedback_type)
+        client.hub.subscription(
+            f"{part}feedback", self._feedback_type, self._feedback_hash, Qos(depth=100), self._heard
+        )
+
+    def begin(self, goal: dict[str, Any]) -> None:
+        """Send it and wait for its acceptance; raises `CliError` where it is rejected."""
+        reply = self._send.ask({"goal_id": self._uuid, "goal": goal})
+        if not reply["accepted"]:
+            raise CliError(f"{self.name} rejected the goal")
+        self._ask_result()
+
+    def follow(self, args: argparse.Namespace) -> dict[str, Any] | CallError:
+        """Show feedback until the goal ends; raises `TimeoutError` where that takes longer than it may."""
+        end = time.monotonic() + (_LONGEST * 24 * 365 if args.timeout is None else args.timeout)
+        while True:
+            try:
+                news = self._news.get(timeout=min(0.2, max(end - time.monotonic(), 0.0)) or 0.001)
+            except Empty:
+                if time.monotonic() >= end:
+                    raise TimeoutError from None
+                continue
+            if isinstance(news, _End):
+                return news.reply
+            if not args.no_feedback:
+                self._show(news.cdr, args)
+
+    def cancel(self) -> None:
+        """Ask for its cancellation, also where it is not accepted yet."""
+        self._ask_result()
+        self._cancel.call({"goal_info": {"goal_id": self._uuid}}, lambda _reply: None)
+
+    def _ask_result(self) -> None:
+        if not self._asked:
+            self._result.call({"goal_id": self._uuid}, lambda result: self._news.put(_End(result)))
+            self._asked = True  # not before: Ctrl-C may come in between, and asking twice does no harm
+
+    def _heard(self, sample: HubSample) -> None:
+        data = sample.data()
+        if data[4:20] == self._id:
+            self._news.put(_Feedback(data))
+
+    def _show(self, cdr: bytes, args: argparse.Namespace) -> None:
+        try:
+            feedback = self._types.decode(self._feedback_type, self._feedback_hash, cdr)["feedback"]
+        except ConversionError as err:
+            print(f"# {clean(err)}", file=sys.stderr)
+            return
+        if args.json:
+            print(json_line({"feedback": feedback}), flush=True)
+        else:
+            print(f"feedback:\n{message_text(feedback, full=args.full)}---", flush=True)
+
+
+def _give_up(sent: _Goal, args: argparse.Namespace, why: str) -> dict[str, Any] | CallError:
+    """Cancel the goal, and wait for its end."""
+    print(f"{why}: the goal is being cancelled; Ctrl-C again does not wait", file=sys.stderr)
+    sent.cancel()
+    args.timeout = None
+    return sent.follow(args)
+
+
+def _tell_end(end: dict[str, Any] | CallError, args: argparse.Namespace) -> int:
+    if isinstance(end, CallError):
+        raise CliError(f"the goal was lost: {clean(end)}")
+    state = _STATES.get(end["status"], f"state {end['status']}")
+    if args.json:
+        print(json_line({"status": state, "result": end["result"]}))
+    else:
+        result = message_text(end["result"], full=args.full) if end["result"] else ""
+        print(f"{state}\n{result}", end="")
+    return 0 if end["status"] == _SUCCEEDED else 1
