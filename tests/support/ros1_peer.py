@@ -3,7 +3,8 @@
 Beyond the common commands: ``define`` type, definition (full text: own fields, then each nested type's after a line of
 ``=`` and ``MSG: name``) makes a type known that is not installed; ``advertise`` and ``subscribe`` take ``queue``
 (rospy's queue_size); ``header`` id -> headers of the last message of each publisher; ``parameters`` -> names;
-``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and ``tally`` as `tests.support.peer` says.
+``log`` text: to /rosout; ``await_service`` service, seconds: rospy's wait_for_service; ``count``, ``counted`` and
+``tally`` as `tests.support.peer` says.
 
 Messages are dicts of their fields; arrays of bytes are lists of integers, times are ``{"secs": .., "nsecs": ..}``.
 Usage: ros1_peer.py NODE
@@ -111,7 +112,7 @@ class Serving:
         self.released = threading.Event()
         if not held:
             self.released.set()
-        self.endpoint = rospy.Service(service, cls, self.on_request)
+        self.service = rospy.Service(service, cls, self.on_request)
 
     def on_request(self, request):
         with self.ready:
@@ -129,7 +130,7 @@ class Serving:
 
     def unregister(self):
         self.released.set()
-        self.endpoint.shutdown("end of the test")
+        self.service.shutdown("end of the test")
 
 
 class Calling:

@@ -110,6 +110,19 @@ class Prober:
             self._open[link] = _Attempt(due=time.monotonic() + _FIRST_WAIT, trouble=trouble)
         self._changed()
 
+    def check(self, link: Link) -> None:
+        """Ask one again of which something is known; where it does not answer, it is doubted."""
+        self._lanes.submit(link.uri, lambda: self._check(link))
+
+    def _check(self, link: Link) -> None:
+        try:
+            sock, header = self._shake(link)
+        except Ros1Error as err:
+            self.doubt(link, str(err))
+        else:
+            sock.close()
+            self.learned(link, Facts.of(header))
+
     def learned(self, link: Link, facts: Facts) -> None:
         """A publisher said of itself what it is, when a subscription connected to it; it may have advertised anew."""
         with self._lock:
@@ -129,10 +142,13 @@ class Prober:
             attempt = self._open.get(link)
         return attempt is not None and attempt.refused
 
+    def _shake(self, link: Link) -> tuple[DeadlineSocket, Header]:
+        # rospy drops an older connection of the same caller, so a probe calls itself otherwise than the node.
+        return self._handshake(f"{self._caller()}_probe", link.uri, link.topic, HANDSHAKE_SECONDS)
+
     def _probe(self, link: Link) -> None:
         try:
-            # rospy drops an older connection of the same caller, so a probe calls itself otherwise than the node.
-            sock, header = self._handshake(f"{self._caller()}_probe", link.uri, link.topic, HANDSHAKE_SECONDS)
+            sock, header = self._shake(link)
         except Ros1Error as err:
             if isinstance(err, UnreachableError):
                 self._lanes.failed(link.uri)

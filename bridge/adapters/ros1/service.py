@@ -7,6 +7,7 @@ with, so each new one is asked once. Clients leave no trace on the graph: there 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 from bridge.adapters.base import Endpoint, Kind, MadeBy
@@ -27,6 +28,7 @@ _OF_EVERY_NODE = ("/get_loggers", "/set_logger_level")
 """A dead node leaves these on the master too; nobody misses them."""
 
 _ANY_MD5 = ("*", "")
+_CHECK_PERIOD = 2.0
 
 
 class Services:
@@ -59,6 +61,7 @@ class Services:
         self._lock = threading.Lock()
         self._links: frozenset[Link] = frozenset()
         self._callers: set[Caller] = set()
+        self._check_due = 0.0
         self.servers = Servers(self._loop, node, origin, wake, limit)
 
     def stop(self) -> None:
@@ -84,6 +87,21 @@ class Services:
             restless = any(caller.restless for caller in self._callers)
         if changed or restless:
             self._follow()
+        self._check_rivals()
+
+    def _check_rivals(self) -> None:
+        """Look whether those still live who serve what we would serve too: nobody else might notice their death."""
+        if time.monotonic() < self._check_due:
+            return
+        self._check_due = time.monotonic() + _CHECK_PERIOD
+        known = self._prober.facts().keys()
+        for link in self._rivals():
+            if link in known:
+                self._prober.check(link)
+
+    def _rivals(self) -> list[Link]:
+        ours = frozenset(self.servers.names())
+        return sorted(link for link in self._links if link.topic in ours) if ours else []
 
     @property
     def links(self) -> frozenset[Link]:
@@ -107,9 +125,8 @@ class Services:
         for link, trouble in sorted(self._prober.troubles().items()):
             if not link.topic.endswith(_OF_EVERY_NODE):
                 yield f"{link.topic}: its server {link.node} does not tell its type: {trouble}"
-        ours = frozenset(self.servers.names())
-        for link in sorted(self._links):
-            if link.topic in ours and not self.is_gone(link):
+        for link in self._rivals():
+            if not self.is_gone(link):
                 yield f"{link.topic}: {link.node} serves it on ROS 1 itself, so the hub's is not offered there"
 
     def _handshake(self, caller: str, uri: str, service: str, seconds: float) -> tuple[DeadlineSocket, Header]:

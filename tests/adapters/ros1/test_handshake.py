@@ -6,8 +6,8 @@ import struct
 import pytest
 
 from bridge.adapters.ros1.errors import ExhaustedError, ProtocolError, RefusedError, Ros1Error, UnreachableError
-from bridge.adapters.ros1.handshake import MAX_HEADER, connect, decode, encode
-from tests.adapters.ros1.servers import node, publisher, until_closed
+from bridge.adapters.ros1.handshake import MAX_HEADER, connect, connect_service, decode, encode
+from tests.adapters.ros1.servers import node, publisher, tcp_server, until_closed
 from tests.support.descriptors import no_descriptors
 from tests.support.ports import free_port
 
@@ -123,3 +123,16 @@ def test_nobody_there():
 def test_want_of_descriptors_is_not_the_peers_fault(name):
     with no_descriptors(), pytest.raises(ExhaustedError, match=r"no file descriptor left.*LimitNOFILE"):
         connect("/me", f"http://{name}:11311/", "/topic", 2.0)
+
+
+@pytest.mark.parametrize(
+    "address", ["", "nonsense", "rosrpc://", "rosrpc://host", "rosrpc://host:99999", "rosrpc://[::1"]
+)
+def test_services_at_no_address(address):
+    with pytest.raises(ProtocolError, match="not a ROS 1 service's address"):
+        connect_service("/me", address, "/serve", 5.0, md5sum="*")
+
+
+def test_a_service_that_tells_no_type():
+    with tcp_server(say(encode({"callerid": "/odd"}))) as (host, port), pytest.raises(ProtocolError, match="no type"):
+        connect_service("/me", f"rosrpc://{host}:{port}", "/serve", 5.0, md5sum="*", probe="1")
