@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from bridge.clock import SYSTEM, RunClock
 from bridge.hub.call import Abandon, Call, Done
@@ -18,6 +18,10 @@ from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
+
+if TYPE_CHECKING:
+    from bridge.config.sections.parameters import ParameterRule
+    from bridge.hub.session import Hub
 
 _NO_SERVICES = "{name}: services do not cross to {side}"
 
@@ -219,6 +223,16 @@ class Edge(ABC):
         """
         del side_type, call
         raise MessageTypeError(_NO_SERVICES.format(side=self.side, name=name))
+
+    def carry_parameters(
+        self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
+    ) -> Callable[[], None]:
+        """Do the side's part for the parameters that rules name, until the returned call; most sides have none.
+
+        Called once `start` was; ``active`` says whether this worker is the one that joins the network to the hub.
+        """
+        del rules, hub, active
+        return lambda: None
 
     def announce(self, record: bytes) -> None:  # noqa: B027 - a side without other Midspan workers has nothing to do
         """Tell all other Midspan workers on this side's network, those that come later too; replaces the last record.

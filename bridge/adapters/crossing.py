@@ -74,6 +74,7 @@ class Crossing:
         follow(edge.clock, self._hub)
         self._engine: Engine | None = Engine(edge, self._hub, config.routing, config.name, failed, registry)
         self._engine.start()
+        self._share_parameters(config.routing)
         verbs = {"status": self._status, "explain": self._explain, "tap": self._tap, "time": self._time}
         self._closers = [self._hub.serve(verb, handler) for verb, handler in verbs.items()]
         if diagnostics:
@@ -83,6 +84,18 @@ class Crossing:
     def reload(self, routing: RoutingSection) -> None:
         """Take up new rules."""
         self._running().reload(routing)
+        if routing.parameters != self._parameters:
+            self._unshare()
+            self._share_parameters(routing)
+
+    def _share_parameters(self, routing: RoutingSection) -> None:
+        engine, hub = self._engine, self._hub
+        assert engine is not None
+        assert hub is not None
+        self._parameters = routing.parameters
+        self._unshare = engine.edge.carry_parameters(
+            routing.parameters, hub, lambda: engine.summary().state == "running"
+        )
 
     def health(self) -> Health:
         """How the engine is; raises `TimeoutError` where it stands still."""
@@ -101,6 +114,7 @@ class Crossing:
         for closer in self._closers:
             closer()
         self._closers = []
+        self._unshare()
         engine, self._engine = self._engine, None
         if engine is not None:
             engine.stop()

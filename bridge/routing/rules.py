@@ -17,6 +17,10 @@ ENTRY = "zenoh"
 
 Kind = Literal["topic", "service", "action"]
 
+_PARAMETERS = "rcl_interfaces/srv/"
+_WITH_NODES = frozenset({"ros2", "zenoh_ros2dds"})
+"""Sides on which nodes have parameters of their own."""
+
 
 @dataclass(frozen=True, slots=True)
 class Decision:
@@ -66,6 +70,7 @@ class RuleSet:
     def __init__(self, section: RoutingSection) -> None:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
+        self._nodes = frozenset(rule.node for rule in section.parameters)
 
     def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> Decision:
         """May a topic, service or action of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
@@ -104,6 +109,8 @@ class RuleSet:
             return self._private(origin, topic, type_name, kind) or self._default(topic)
         if elsewhere and self.section.default == "deny":
             return self._default(topic)
+        if side not in _WITH_NODES and self._shares(topic, type_name, kind):
+            return Decision(allowed=False, why="parameters are told by routing.parameters", name=topic, private=True)
         return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
@@ -121,7 +128,13 @@ class RuleSet:
             return Decision(allowed=True, why="a rule lets it leave the hub", name=topic)
         return None
 
+    def _shares(self, name: str, type_name: str, kind: Kind) -> bool:
+        """Whether it is a parameter service of a node whose parameters are shared."""
+        return kind == "service" and type_name.startswith(_PARAMETERS) and name.rpartition("/")[0] in self._nodes
+
     def _private(self, side: str, topic: str, type_name: str, kind: Kind) -> Decision | None:
+        if self._shares(topic, type_name, kind):
+            return Decision(allowed=True, why="routing.parameters names its node", name=topic)
         why = why_private(side, topic, type_name, kind) if self.section.private else ""
         return Decision(allowed=False, why=f"private to its side: {why}", name=topic, private=True) if why else None
 

@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from bridge.config import Config, generate, load, loads
 from bridge.config.hints import all_keys
 from bridge.config.sections.modules import OwnModule
+from bridge.config.sections.parameters import ParameterRule
 from bridge.config.sections.routing import QosOverride, Rule
 from bridge.config.sections.yarp import Topic
 from bridge.config.sections.zenoh import Dialect, DialectKey
@@ -29,12 +30,19 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
         if path == ("name",):
             assert "\n# name:\n" in text  # the machine's: in the file it would be this machine's everywhere
             continue
-        lists = (("routing", "rules"), ("zenoh", "dialects"), ("yarp", "topics"), ("yarp", "peers"), ("modules", "own"))
+        lists = (
+            ("routing", "rules"),
+            ("routing", "parameters"),
+            ("zenoh", "dialects"),
+            ("yarp", "topics"),
+            ("yarp", "peers"),
+            ("modules", "own"),
+        )
         if path[:2] in lists and len(path) > 2:
             continue
         for key in path:
             part = part[key]
-    for model in (Rule, QosOverride, Dialect, DialectKey, Topic, OwnModule):
+    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, OwnModule):
         for name, info in model.model_fields.items():
             assert f"- {info.alias or name} (" in text
     assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
@@ -46,7 +54,7 @@ def test_every_key_is_described() -> None:
             assert info.description, f"{model.__name__}.{name}"
 
     sections = (type(getattr(Config(), name)) for name in Config.model_fields)
-    for model in (Config, Rule, QosOverride, Dialect, DialectKey, Topic, OwnModule, *sections):
+    for model in (Config, Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, OwnModule, *sections):
         if hasattr(model, "model_fields"):
             check(model)
 

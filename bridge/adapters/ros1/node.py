@@ -65,6 +65,13 @@ class _Handler(ROSHandler):  # type: ignore[misc]  # rospy has no types
         super().__init__(name, master_uri)
         self.reg_man = notes
         self._asked_to_stop = asked_to_stop
+        self.parameter_changed: Changed | None = None
+
+    def paramUpdate(self, _caller_id: str, _key: str, _value: object) -> tuple[int, str, int]:  # noqa: N802 - ROS 1's
+        """The master tells that a parameter changed that we asked to hear of; what it is now is asked for anew."""
+        if self.parameter_changed is not None:
+            self.parameter_changed()
+        return 1, "", 0
 
     def shutdown(self, caller_id: str, msg: str = "") -> tuple[int, str, int]:
         """The master (another node took our name) or a person (rosnode kill) asks us to stop."""
@@ -150,7 +157,8 @@ class Node:
         self.rename(name)
         self._start_server()
         self._notes = _Notes(changed)
-        self._server = XmlRpcNode(0, _Handler(name, master_uri, self._notes, asked_to_stop))
+        self._handler = _Handler(name, master_uri, self._notes, asked_to_stop)
+        self._server = XmlRpcNode(0, self._handler)
         self._server.start()
         self.uri = self._await_uri()
         self._server.server.RequestHandlerClass = _Requests
@@ -199,6 +207,10 @@ class Node:
     def turned_away(self) -> dict[tuple[str, str], str]:
         """Subscribers, by topic and node, that ask for another definition of the type than we publish; and which."""
         return dict(self._turned_away)
+
+    def hear_parameters(self, changed: Changed | None) -> None:
+        """Be told, on a thread of rospy, when a parameter changes that our address is subscribed to."""
+        self._handler.parameter_changed = changed
 
     def stop(self) -> None:
         """Close everything; the master is told by whoever registered."""

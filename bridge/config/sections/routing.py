@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from bridge.config.sections.parameters import ParameterRule, parameters_trouble
 from bridge.config.sections.section import Section, SideName
 from bridge.config.sections.values import ROS2_NAME
 
@@ -162,3 +163,14 @@ class RoutingSection(Section):
         " has for itself, and the like).",
     )
     rules: tuple[Rule, ...] = Field(default=(), description="The rules; see below.")
+    parameters: tuple[ParameterRule, ...] = Field(
+        default=(), description="Parameters that ROS 1 and ROS 2 share; none without a rule."
+    )
+
+    @field_validator("parameters")
+    @classmethod
+    def _parameters_agree(cls, value: tuple[ParameterRule, ...]) -> tuple[ParameterRule, ...]:
+        trouble = parameters_trouble(value)
+        if trouble:
+            raise ValueError(trouble)
+        return value

@@ -1,0 +1,143 @@
+"""The one thread that carries parameters between ROS 1's parameter server and the hub."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.parameters.mirrored import Mirrored
+from bridge.adapters.ros1.parameters.offered import Offered
+from bridge.adapters.ros1.parameters.store import Store
+from bridge.config.sections.parameters import ParameterRule
+from bridge.hub.call import CallError, Done
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+
+_log = logging.getLogger(__name__)
+
+PERIOD = 1.0
+"""Seconds between two looks; what ROS 1 changes is told at once, a ROS 2 node's own changes are not."""
+
+_SETTLE = 0.02
+"""Seconds between two looks at least: several parameters are often set together."""
+
+MAX_JOBS = 1000
+"""Calls and replies that wait for the thread."""
+
+_BUSY = "too many calls of parameter services wait for ROS 1's parameter server"
+_MAX_SHOWN = 20
+
+
+class Parameters:
+    """Follows the rules of ``routing.parameters`` until it is stopped.
+
+    Args:
+        rules: at least one.
+        hub: the session.
+        registry: of types.
+        store: ROS 1's parameter server.
+        active: whether this worker is the one that joins the network to the hub.
+    """
+
+    def __init__(
+        self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: Store, active: Callable[[], bool]
+    ) -> None:
+        self._store, self._active = store, active
+        nodes = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
+        self._offered = [
+            Offered([r for r in rules if r.node == node], hub, registry, store, self._submit, number)
+            for number, node in enumerate(nodes, 1)
+        ]
+        self._mirrored = [
+            Mirrored(rule, hub, registry, store, self._submit, self.changed) for rule in rules if rule.owner == "ros2"
+        ]
+        self._parts: tuple[Offered | Mirrored, ...] = (*self._offered, *self._mirrored)
+        self._keys = [rule.ros1 for offered in self._offered for rule in offered.rules]
+        self._watched = [rule.ros1 for rule in rules if rule.owner == "ros2"]
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._wake = threading.Event()
+        self._look_now = True
+        self._stopping = threading.Event()
+        self._trouble = ""
+        self._thread = threading.Thread(target=self._run, name="midspan-ros1-parameters", daemon=True)
+        self._thread.start()
+
+    def changed(self) -> None:
+        """Something may have changed; on any thread."""
+        self._look_now = True
+        self._wake.set()
+
+    def stop(self) -> None:
+        """Leave the hub, and take back what was set on ROS 1's parameter server. Safe to call twice."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join(5.0)
+
+    def warnings(self) -> list[str]:
+        """What is wrong, for people."""
+        found = [self._trouble] if self._trouble else []
+        for part in self._parts:
+            found += [f"parameter {name}: {why}" for name, why in sorted(dict(part.troubles).items())]
+        rest = len(found) - _MAX_SHOWN
+        return [*found[:_MAX_SHOWN], *([f"and {rest} more about parameters"] if rest > 0 else [])]
+
+    def details(self) -> list[dict[str, Any]]:
+        """The rules as the status document shows them."""
+        found = [(rule, offered.count) for offered in self._offered for rule in offered.rules]
+        found += [(mirrored.rule, mirrored.count) for mirrored in self._mirrored]
+        return [{"ros1": rule.ros1, "node": rule.node, "owner": rule.owner, "shared": count} for rule, count in found]
+
+    def _submit(self, job: Callable[[], None], waits: Done | None) -> None:
+        """Do something on the thread; a call that finds no room is ended with an error."""
+        if waits is not None and len(self._jobs) >= MAX_JOBS:
+            waits(CallError(_BUSY))
+            return
+        self._jobs.append(job)
+        self._wake.set()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            timely = self._wake.wait(PERIOD)
+            self._wake.clear()
+            while self._jobs and not self._stopping.is_set():
+                self._try(self._jobs.popleft())
+            if self._look_now or not timely:
+                self._look_now = False
+                self._try(self._look)
+                self._stopping.wait(_SETTLE)
+        self._close()
+        while self._jobs:
+            self._try(self._jobs.popleft())
+        self._store.close([key for one in self._mirrored for key in sorted(one.written)])
+
+    def _try(self, job: Callable[[], None]) -> None:
+        try:
+            job()
+        except Ros1Error as err:
+            if not self._trouble:
+                _log.warning("ROS 1's parameter server cannot be asked: %s", err)
+            self._trouble = f"ROS 1's parameter server cannot be asked: {err}"
+            self._close()
+        except Exception as err:
+            _log.exception("carrying parameters failed")
+            self._trouble = f"carrying parameters failed: {err}"
+
+    def _look(self) -> None:
+        if not self._active():
+            self._close()
+            return
+        trees = self._store.watch([*self._keys, *self._watched])
+        self._trouble = ""
+        for offered in self._offered:
+            offered.follow(trees)
+        for mirrored in self._mirrored:
+            mirrored.follow()
+
+    def _close(self) -> None:
+        """Leave the hub: the parameters are gone with the network, or another worker shares them."""
+        for part in self._parts:
+            part.close()

@@ -1,0 +1,227 @@
+"""Parameters that ROS 1 owns, served on the hub as those of a ROS 2 node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.parameters.node import codecs
+from bridge.adapters.ros1.parameters.store import Store
+from bridge.adapters.ros1.parameters.values import (
+    NOT_SET,
+    Kind,
+    Names,
+    UnsayableError,
+    Value,
+    flatten,
+    to_ros1,
+    to_ros2,
+)
+from bridge.config.sections.parameters import ParameterRule
+from bridge.hub.call import Abandon, CallError, Done
+from bridge.hub.liveliness import NodeToken, node_key
+from bridge.hub.qos import Qos
+from bridge.hub.session import Hub
+from bridge.messages.errors import ConversionError
+from bridge.messages.registry import Registry
+from bridge.messages.values import Writer
+
+EVENTS = "/parameter_events"
+_EVENT = "rcl_interfaces/msg/ParameterEvent"
+_EVENT_QOS = Qos(depth=1000)  # rmw_qos_profile_parameter_events
+
+Submit = Callable[[Callable[[], None], Done | None], None]
+"""Has something done on the one thread that talks to the parameter server; who waits is told where that is too busy."""
+
+
+class Offered:
+    """One node of ours on the hub.
+
+    All but the constructor and `call` run on the parameters' thread.
+
+    Args:
+        rules: all that ROS 1 owns and this node shows.
+        hub: the session.
+        registry: of types.
+        store: ROS 1's parameter server.
+        submit: has a call answered on the parameters' thread.
+        token: number of the node within the session.
+    """
+
+    def __init__(
+        self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: Store, submit: Submit, token: int
+    ) -> None:
+        self.rules = rules
+        self.node = rules[0].node
+        # The rule with the longest prefix has a name first.
+        self._names = [Names(rule) for rule in sorted(rules, key=lambda rule: -len(rule.prefix))]
+        self._hub, self._store, self._submit = hub, store, submit
+        self._codecs = codecs(registry)
+        self._event = registry.ros2(_EVENT)
+        self._event_schema = registry.schema(_EVENT)
+        namespace, _, name = self.node.rpartition("/")
+        self._token = node_key(NodeToken(hub.domain, hub.zid, str(token), namespace or "/", name))
+        self._closers: list[Callable[[], object]] = []
+        self._publish: Callable[[bytes], None] | None = None
+        self._told: dict[str, Value] | None = None
+        self.troubles: dict[str, str] = {}
+
+    @property
+    def count(self) -> int:
+        """How many parameters it has."""
+        return len(self._told or ())
+
+    def follow(self, trees: Mapping[str, Any]) -> None:
+        """Be there, and tell what changed.
+
+        Args:
+            trees: what the parameter server has below each rule's name.
+        """
+        if not self._closers:
+            self._open()
+        now = dict(self._all(trees))
+        before, self._told = self._told, now
+        if before is not None and before != now:
+            self._tell(before, now)
+
+    def close(self) -> None:
+        """Leave the hub. Safe to call twice."""
+        closers, self._closers = self._closers, []
+        for closer in closers:
+            closer()
+        self._told = self._publish = None
+
+    def _open(self) -> None:
+        self._closers.append(self._hub.graph.announce(self._token))
+        for word, codec in self._codecs.items():
+            kind = codec.type
+            server = self._hub.server(f"{self.node}/{word}", kind.name, kind.type_id, partial(self.call, word))
+            self._closers.append(server.close)
+        publisher = self._hub.publisher(EVENTS, self._event.name, self._event.type_id, _EVENT_QOS)
+        self._publish = publisher.put
+        self._closers.append(publisher.close)
+
+    # -- what there is -------------------------------------------------------------------------------------------------
+
+    def _all(self, trees: Mapping[str, Any]) -> Iterator[tuple[str, Value]]:
+        """The parameters by their names on the node; notes those of which ROS 2 has no kind."""
+        self.troubles = {}
+        for names in reversed(self._names):
+            for rest, value in flatten(trees.get(names.rule.ros1, {})):
+                if names.takes(rest) and names.ros2(rest):
+                    try:
+                        yield names.ros2(rest), to_ros2(value)
+                    except UnsayableError as err:
+                        self.troubles[names.ros1(rest)] = str(err)
+
+    def _read(self) -> dict[str, Value]:
+        return dict(self._all(self._store.watch([rule.ros1 for rule in self.rules])))
+
+    def _tell(self, before: Mapping[str, Value], now: Mapping[str, Value]) -> None:
+        """Publish a parameter event."""
+        message = {
+            "stamp": dict(zip(("sec", "nanosec"), divmod(time.time_ns(), 10**9), strict=True)),
+            "node": self.node,
+            "new_parameters": [_parameter(name, now[name]) for name in now.keys() - before.keys()],
+            "changed_parameters": [_parameter(n, v) for n, v in now.items() if n in before and before[n] != v],
+            "deleted_parameters": [_parameter(name, NOT_SET) for name in before.keys() - now.keys()],
+        }
+        if self._publish is not None:
+            self._publish(Writer(self._event_schema).message(message))
+
+    # -- calls ---------------------------------------------------------------------------------------------------------
+
+    def call(self, word: str, request: bytes, done: Done) -> Abandon:
+        """Begin to answer a call; runs on zenoh's receiving thread."""
+        self._submit(lambda: done(self._answer(word, request)), done)
+        return lambda: None
+
+    def _answer(self, word: str, request: bytes) -> bytes | CallError:
+        codec = self._codecs[word]
+        try:
+            reply = getattr(self, f"_{word}")(codec.request_value(request))
+        except Ros1Error as err:
+            return CallError(f"ROS 1's parameter server cannot be asked: {err}")
+        except ConversionError as err:
+            return CallError(str(err))
+        return codec.response(reply)
+
+    def _get_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        known = self._read()
+        return {"values": [known.get(name, NOT_SET).message() for name in request["names"]]}
+
+    def _get_parameter_types(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        known = self._read()
+        return {"types": [int(known.get(name, NOT_SET).kind) for name in request["names"]]}
+
+    def _describe_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        known = self._read()
+        return {"descriptors": [self._descriptor(name, known.get(name, NOT_SET)) for name in request["names"]]}
+
+    def _descriptor(self, name: str, value: Value) -> dict[str, Any]:
+        place = self._place(name)
+        where = "" if place is None else f"ROS 1 parameter {place[0].ros1(place[1])}"
+        read_only = place is not None and not place[0].rule.write
+        return {
+            "name": name, "type": int(value.kind), "description": where, "read_only": read_only, "dynamic_typing": True,
+        }  # fmt: skip
+
+    def _list_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """As rclcpp's node_parameters.cpp has it: the depth counts the dots in what follows a prefix, 0 is any."""
+        prefixes, depth = request["prefixes"], request["depth"]
+
+        def wanted(name: str) -> bool:
+            rests = [name] if not prefixes else [
+                name[len(prefix) + 1 :] for prefix in prefixes if name == prefix or name.startswith(f"{prefix}.")
+            ]  # fmt: skip
+            return any(depth == 0 or rest.count(".") < depth for rest in rests)
+
+        names = sorted(name for name in self._read() if wanted(name))
+        above = sorted({name.rpartition(".")[0] for name in names if "." in name})
+        return {"result": {"names": names, "prefixes": above}}
+
+    def _set_parameters(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        return {"results": [self._set([parameter]) for parameter in request["parameters"]]}
+
+    def _set_parameters_atomically(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        return {"result": self._set(request["parameters"])}
+
+    def _set(self, parameters: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Set all or none."""
+        known = self._read()
+        wanted: dict[str, Any] = {}
+        for parameter in parameters:
+            name, value = parameter["name"], Value.read(parameter["value"])
+            place = self._place(name)
+            if place is None:
+                return _no(f"no rule of routing.parameters shares {name}")
+            names, rest = place
+            if not names.rule.write:
+                return _no(f"{name} is shared for reading alone (routing.parameters, write: false)")
+            if any(other.startswith(f"{name}.") for other in known):
+                return _no(f"{names.ros1(rest)} is a namespace in ROS 1")
+            try:
+                wanted[names.ros1(rest)] = None if value.kind is Kind.NOT_SET else to_ros1(value)
+            except UnsayableError as err:
+                return _no(f"{name}: {err}")
+        refused = self._store.write(wanted)
+        return _no(f"ROS 1's master refuses {', '.join(refused)}") if refused else {"successful": True, "reason": ""}
+
+    def _place(self, name: str) -> tuple[Names, str] | None:
+        """The rule that shares a name, and what of it follows the rule's."""
+        for names in self._names:
+            rest = names.rest(name)
+            if rest is not None:
+                return names, rest
+        return None
+
+
+def _parameter(name: str, value: Value) -> dict[str, Any]:
+    return {"name": name, "value": value.message()}
+
+
+def _no(reason: str) -> dict[str, Any]:
+    return {"successful": False, "reason": reason}

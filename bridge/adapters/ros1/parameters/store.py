@@ -1,0 +1,63 @@
+"""ROS 1's parameter server, through the master's API (wiki.ros.org/ROS/Parameter Server API)."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bridge.adapters.ros1.errors import Ros1Error
+from bridge.adapters.ros1.rpc import Call, RpcClient
+
+_TIMEOUT = 2.0
+_STOP_TIMEOUT = 0.5
+_BATCH = 200
+
+
+class Store:
+    """The parameter server of one master; one thread at a time. Its methods raise `Ros1Error` where it is away.
+
+    Args:
+        uri: the master's.
+        caller: gives our node's name.
+        slave: our node's XML-RPC address, which is told what changes.
+    """
+
+    def __init__(self, uri: str, caller: Callable[[], str], slave: str) -> None:
+        self._uri, self._caller, self._slave = uri, caller, slave
+        self._client = RpcClient(uri, _TIMEOUT)
+        self._watched: set[str] = set()
+
+    def watch(self, keys: Sequence[str]) -> dict[str, Any]:
+        """Read parameters or namespaces, and be told of changes below them from now on; {} for what is not set.
+
+        A restarted master has forgotten who listens, so this asks for it each time.
+        """
+        self._watched |= set(keys)
+        calls: list[Call] = [("subscribeParam", (self._caller(), self._slave, key)) for key in keys]
+        values = self._client.calls(calls) if calls else []
+        return dict(zip(keys, values, strict=True))
+
+    def write(self, values: Mapping[str, Any]) -> list[str]:
+        """Set parameters, and delete those whose value is None; those that the master did not set."""
+        me = self._caller()
+        calls: list[Call] = [
+            ("deleteParam", (me, key)) if value is None else ("setParam", (me, key, value))
+            for key, value in values.items()
+        ]
+        answers: list[Any] = []
+        for at in range(0, len(calls), _BATCH):
+            answers += self._client.calls(calls[at : at + _BATCH])
+        pairs = zip(values.items(), answers, strict=True)
+        return [key for (key, value), answer in pairs if value is not None and answer is None]
+
+    def close(self, written: Sequence[str]) -> None:
+        """Delete what we wrote, and be told nothing more."""
+        me = self._caller()
+        calls: list[Call] = [("deleteParam", (me, key)) for key in written]
+        calls += [("unsubscribeParam", (me, self._slave, key)) for key in sorted(self._watched)]
+        self._client.close()
+        client = RpcClient(self._uri, _STOP_TIMEOUT)
+        with contextlib.closing(client), contextlib.suppress(Ros1Error):
+            if calls:
+                client.calls(calls)

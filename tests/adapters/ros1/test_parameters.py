@@ -1,0 +1,414 @@
+"""Parameters shared between a real roscore's parameter server and nodes on the hub."""
+
+from __future__ import annotations
+
+import threading
+import xmlrpc.client
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from bridge.adapters.ros1.parameters.follower import Parameters
+from bridge.adapters.ros1.parameters.node import codecs
+from bridge.adapters.ros1.parameters.store import Store
+from bridge.adapters.ros1.parameters.values import (
+    NOT_SET,
+    Kind,
+    Names,
+    UnsayableError,
+    Value,
+    flatten,
+    to_ros1,
+    to_ros2,
+)
+from bridge.config.sections.parameters import ParameterRule
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.call import CallError
+from bridge.hub.qos import Qos
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.messages.values import Reader
+from bridge.routing.rules import RuleSet
+from tests.support.hub import HubNetwork
+from tests.support.ros1 import RosMaster, needs_ros1
+from tests.support.wait import until
+
+REGISTRY = Registry()
+CODECS = codecs(REGISTRY)
+NOBODY = "http://127.0.0.1:1/"
+"""Where no master can tell that something changed: what the next look finds then must do."""
+
+VALUES = [
+    (True, Value(Kind.BOOL, True)),
+    (-7, Value(Kind.INTEGER, -7)),
+    (2.5, Value(Kind.DOUBLE, 2.5)),
+    (float("nan"), Value(Kind.DOUBLE, float("nan"))),
+    ("base <&> link é😀\n", Value(Kind.STRING, "base <&> link é😀\n")),
+    (xmlrpc.client.Binary(b"\0\xff"), Value(Kind.BYTE_ARRAY, b"\0\xff")),
+    ([True, False], Value(Kind.BOOL_ARRAY, [True, False])),
+    ([1, 2], Value(Kind.INTEGER_ARRAY, [1, 2])),
+    ([1.5, 2.0], Value(Kind.DOUBLE_ARRAY, [1.5, 2.0])),
+    (["a", ""], Value(Kind.STRING_ARRAY, ["a", ""])),
+]
+
+
+@pytest.mark.parametrize(("ros1", "ros2"), VALUES)
+def test_values_go_there_and_back(ros1: Any, ros2: Value):
+    assert to_ros2(ros1) == ros2
+    assert repr(to_ros1(ros2)) == repr(ros1) or to_ros1(ros2) == ros1
+    codec = CODECS["get_parameters"]
+    sent = codec.response({"values": [ros2.message()]})
+    assert Value.read(codec.response_value(sent)["values"][0]) == ros2
+    assert ros2 != NOT_SET
+
+
+@pytest.mark.parametrize(
+    ("ros1", "like", "ros2"),
+    [
+        (1, Kind.DOUBLE, Value(Kind.DOUBLE, 1.0)),
+        (2.0, Kind.INTEGER, Value(Kind.INTEGER, 2)),
+        (2.5, Kind.INTEGER, Value(Kind.DOUBLE, 2.5)),
+        (True, Kind.INTEGER, Value(Kind.BOOL, True)),
+        ([1, 2], Kind.DOUBLE_ARRAY, Value(Kind.DOUBLE_ARRAY, [1.0, 2.0])),
+        ([1, 2.5], Kind.NOT_SET, Value(Kind.DOUBLE_ARRAY, [1.0, 2.5])),
+        ([], Kind.BOOL_ARRAY, Value(Kind.BOOL_ARRAY, [])),
+        ([], Kind.DOUBLE, Value(Kind.STRING_ARRAY, [])),
+    ],
+)
+def test_numbers_take_the_kind_that_the_node_has(ros1: Any, like: Kind, ros2: Value):
+    assert to_ros2(ros1, like) == ros2
+
+
+def test_what_cannot_be_said_is_refused():
+    for ros1 in ({"a": 1}, [[1], [2]], [1, "a"], [True, 1], None, xmlrpc.client.DateTime(), 2**63):
+        with pytest.raises(UnsayableError):
+            to_ros2(ros1)
+    for ros2 in (Value(Kind.INTEGER, 2**31), Value(Kind.STRING, "a\0"), Value(Kind.STRING_ARRAY, ["\r"]), NOT_SET):
+        with pytest.raises(UnsayableError):
+            to_ros1(ros2)
+
+
+def rule(owner: str, ros1: str, node: str, **more: Any) -> ParameterRule:
+    return ParameterRule.model_validate({"owner": owner, "ros1": ros1, "node": node, **more})
+
+
+def test_names_follow_the_rule():
+    names = Names(rule("ros2", "/move_base/dwa", "/controller", prefix="FollowPath", names=["*", "deep/**"]))
+    for rest, ros1, ros2 in (
+        ("x", "/move_base/dwa/x", "FollowPath.x"),
+        ("deep/a/b", "/move_base/dwa/deep/a/b", "FollowPath.deep.a.b"),
+    ):
+        assert (names.ros1(rest), names.ros2(rest), names.rest(ros2)) == (ros1, ros2, rest)
+    assert [names.rest(other) for other in ("FollowPathX.x", "x", "FollowPath.a.b", "FollowPath.q/.x")] == [None] * 4
+    one = Names(rule("ros2", "/speed", "/base", prefix="limits.speed"))
+    assert (one.ros1(""), one.ros2(""), one.rest("limits.speed")) == ("/speed", "limits.speed", "")
+    assert dict(flatten({"a": {"b": 1, "c": {}}, "d": [2]})) == {"a/b": 1, "d": [2]}
+    assert dict(flatten(3)) == {"": 3}
+
+
+@pytest.mark.parametrize(
+    ("rules", "reason"),
+    [
+        ([{"ros1": "move_base"}], "should look like /move_base"),
+        ([{"node": "controller"}], "should look like /controller_server"),
+        ([{"prefix": "a/b"}], "should look like FollowPath"),
+        ([{"owner": "yarp"}], "'ros1' or 'ros2'"),
+        ([{}, {"ros1": "/b", "owner": "ros1"}], "give /n two owners"),
+        ([{}, {"ros1": "/a/b", "node": "/m"}], "both take what is in /a/b"),
+    ],
+)
+def test_a_wrong_rule_is_told(rules: list[dict[str, Any]], reason: str):
+    whole = [{"ros1": "/a", "node": "/n", "owner": "ros2", **one} for one in rules]
+    with pytest.raises(ValueError, match=reason):
+        RoutingSection.model_validate({"parameters": whole})
+
+
+def test_a_nodes_parameter_services_cross_where_a_rule_names_it():
+    section = RoutingSection.model_validate({"parameters": [{"ros1": "/a", "node": "/ns/n", "owner": "ros2"}]})
+    rules, kind = RuleSet(section), "rcl_interfaces/srv/GetParameters"
+    assert rules.enter("ros2", "/ns/n/get_parameters", kind, "service").allowed
+    assert not rules.enter("ros2", "/ns/other/get_parameters", kind, "service").allowed
+    assert not rules.enter("ros2", "/ns/n/change_state", "lifecycle_msgs/srv/ChangeState", "service").allowed
+    assert not rules.leave("ros2", "ros1", "/ns/n/get_parameters", kind, "service").allowed
+    assert rules.leave("ros1", "ros2", "/ns/n/get_parameters", kind, "service").allowed
+    denied = section.model_copy(update={"rules": (section.__class__.model_validate(
+        {"rules": [{"topic": "/ns/**", "deny": True}]}
+    ).rules)})  # fmt: skip
+    assert not RuleSet(denied).enter("ros2", "/ns/n/get_parameters", kind, "service").allowed
+
+
+# -- on a real parameter server ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[HubNetwork]:
+    with HubNetwork() as network:
+        yield network
+
+
+@pytest.fixture
+def hubs(network: HubNetwork) -> Iterator[tuple[Hub, Hub]]:
+    """The worker's session and that of others."""
+    with Hub.open(network.settings("midspan_ros1")) as ours, Hub.open(network.settings("others")) as others:
+        yield ours, others
+
+
+Share = Callable[..., Parameters]
+
+
+@pytest.fixture
+def share(master: RosMaster, hubs: tuple[Hub, Hub]) -> Iterator[Share]:
+    started: list[Parameters] = []
+
+    def start(*rules: ParameterRule, active: Callable[[], bool] = lambda: True) -> Parameters:
+        store = Store(master.uri, lambda: "/midspan_test", NOBODY)
+        started.append(Parameters(rules, hubs[0], REGISTRY, store, active))
+        return started[-1]
+
+    yield start
+    for parameters in started:
+        parameters.stop()
+
+
+class Client:
+    """Calls the parameter services of one node on the hub."""
+
+    def __init__(self, hub: Hub, node: str) -> None:
+        self._clients = {
+            word: hub.client(f"{node}/{word}", codec.type.name, codec.type.type_id) for word, codec in CODECS.items()
+        }
+        until(lambda: all(client.ready for client in self._clients.values()), f"{node} is on the hub", 20)
+
+    def call(self, word: str, **request: Any) -> Any:
+        done, results = threading.Event(), []
+
+        def answered(result: bytes | CallError) -> None:
+            results.append(result)
+            done.set()
+
+        self._clients[word].call(CODECS[word].request(request), answered)
+        assert done.wait(20)
+        if isinstance(results[0], CallError):
+            raise results[0]
+        return CODECS[word].response_value(results[0])
+
+    def get(self, *names: str) -> list[Any]:
+        return [Value.read(value).content for value in self.call("get_parameters", names=list(names))["values"]]
+
+    def set(self, word: str = "set_parameters", **values: Value) -> Any:
+        wanted = [{"name": name.replace("__", "."), "value": value.message()} for name, value in values.items()]
+        return self.call(word, parameters=wanted)
+
+
+@needs_ros1
+def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    master.call(
+        "setParam", "/own", {"speed": 1.5, "frames": {"base": "base_link"}, "odd": [[1], [2]], "deep": {"x": 1}}
+    )
+    parameters = share(
+        rule("ros1", "/own", "/ns/own_node"), rule("ros1", "/own_one", "/ns/own_node", prefix="one", write=False)
+    )
+    master.call("setParam", "/own_one", 3)
+    client = Client(hubs[1], "/ns/own_node")
+    assert {e.node for e in hubs[1].graph.servers("/ns/own_node/get_parameters")}
+    assert client.get("speed", "frames.base", "one", "nothing") == [1.5, "base_link", 3, None]
+    listed = client.call("list_parameters", prefixes=[], depth=0)["result"]
+    assert (listed["names"], listed["prefixes"]) == (["deep.x", "frames.base", "one", "speed"], ["deep", "frames"])
+    assert client.call("list_parameters", prefixes=["frames"], depth=1)["result"]["names"] == ["frames.base"]
+    assert client.call("list_parameters", prefixes=[], depth=1)["result"]["names"] == ["one", "speed"]
+    assert client.call("get_parameter_types", names=["speed", "one", "x"])["types"].tolist() == [3, 2, 0]
+    about = client.call("describe_parameters", names=["speed", "one"])["descriptors"]
+    assert [(one["type"], one["read_only"], one["description"]) for one in about] == [
+        (3, False, "ROS 1 parameter /own/speed"),
+        (2, True, "ROS 1 parameter /own_one"),
+    ]
+    until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is told", 20)
+    assert parameters.details()[0] == {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
+
+
+@needs_ros1
+def test_a_node_of_ros2_sets_ros1s_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    master.call("setParam", "/set", {"speed": 1.5, "below": {"x": 1}, "fixed": 7})
+    share(rule("ros1", "/set", "/set_node", names=["speed", "below/**", "new"]))
+    client = Client(hubs[1], "/set_node")
+    results = client.set(
+        speed=Value(Kind.DOUBLE, 2.5), fixed=Value(Kind.INTEGER, 8), below=Value(Kind.INTEGER, 1),
+        new=Value(Kind.STRING, "there"), below__x=Value(Kind.INTEGER, 2**40),
+    )["results"]  # fmt: skip
+    assert [one["successful"] for one in results] == [True, False, False, True, False]
+    assert [one["reason"] for one in results if one["reason"]] == [
+        "no rule of routing.parameters shares fixed",
+        "/set/below is a namespace in ROS 1",
+        "below.x: ROS 1 has no integer as large as 1099511627776",
+    ]
+    assert master.call("getParam", "/set") == {"speed": 2.5, "below": {"x": 1}, "fixed": 7, "new": "there"}
+    both = {"speed": Value(Kind.DOUBLE, 9.0), "nobody": Value(Kind.DOUBLE, 9.0)}
+    assert not client.set("set_parameters_atomically", **both)["result"]["successful"]
+    assert master.call("getParam", "/set/speed") == 2.5
+    assert client.set("set_parameters_atomically", new=NOT_SET)["result"]["successful"]
+    assert master.call("getParam", "/set/new") is None
+
+
+@needs_ros1
+def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    kind = REGISTRY.ros2("rcl_interfaces/msg/ParameterEvent")
+    heard: list[dict[str, Any]] = []
+
+    def take(sample: Any) -> None:
+        heard.append(Reader(REGISTRY.schema(kind.name), sample.payload.to_bytes()).message())
+
+    hubs[1].subscription("/parameter_events", kind.name, kind.type_id, Qos(depth=100), take)
+    master.call("setParam", "/told", {"stays": 1, "changes": 2, "goes": 3})
+    share(rule("ros1", "/told", "/told_node"))
+    Client(hubs[1], "/told_node")
+
+    def changed() -> bool:
+        master.call("setParam", "/told/changes", master.call("getParam", "/told/changes") + 1)
+        return any(one["name"] == "changes" for event in heard for one in event["changed_parameters"])
+
+    until(changed, "the change is told", 20, 0.5)
+    master.call("deleteParam", "/told/goes")
+    master.call("setParam", "/told/comes", "new")
+    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the end is told", 20)
+    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new", 20)
+    assert {event["node"] for event in heard} == {"/told_node"}
+
+
+class Node:
+    """A ROS 2 node on the hub that has parameters, some of which it refuses to change."""
+
+    def __init__(self, hub: Hub, node: str, **values: Value) -> None:
+        self.values = {name.replace("__", "."): value for name, value in values.items()}
+        self.refuses: set[str] = set()
+        self.set: list[tuple[str, Any]] = []
+        self.whole = True
+        self._servers = [
+            hub.server(f"{node}/{word}", codec.type.name, codec.type.type_id, self._answer(word))
+            for word, codec in CODECS.items()
+        ]
+
+    def _answer(self, word: str) -> Any:
+        def call(request: bytes, done: Any) -> Any:
+            done(CODECS[word].response(getattr(self, f"_{word}")(CODECS[word].request_value(request))))
+            return lambda: None
+
+        return call
+
+    def _list_parameters(self, request: Any) -> Any:
+        wanted = [n for n in self.values if not request["prefixes"] or n.startswith(request["prefixes"][0])]
+        return {"result": {"names": wanted}}
+
+    def _get_parameter_types(self, request: Any) -> Any:
+        return {"types": [int(self.values[name].kind) for name in request["names"]]}
+
+    def _get_parameters(self, request: Any) -> Any:
+        values = [self.values[name] for name in request["names"]]
+        return {"values": [] if NOT_SET in values else [value.message() for value in values]}  # as rclcpp does
+
+    def _set_parameters(self, request: Any) -> Any:
+        return {"results": [self._set(one["name"], Value.read(one["value"])) for one in request["parameters"]]}
+
+    def _set(self, name: str, value: Value) -> Any:
+        self.set.append((name, value.content))
+        if name in self.refuses or value.kind is not self.values[name].kind:
+            return {"successful": False, "reason": "not now"}
+        self.values[name] = value
+        return {"successful": True}
+
+    def close(self) -> None:
+        for server in self._servers:
+            server.close()
+
+
+@needs_ros1
+def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(
+        hubs[1], "/kept_node",
+        FollowPath__speed=Value(Kind.DOUBLE, 1.5), FollowPath__inner__frame=Value(Kind.STRING, "odom"),
+        FollowPath__huge=Value(Kind.INTEGER, 2**40), FollowPath__unset=NOT_SET, other=Value(Kind.INTEGER, 1),
+    )  # fmt: skip
+    master.call("setParam", "/kept", {"mine": 1, "speed": 99.0})
+    parameters = share(rule("ros2", "/kept", "/kept_node", prefix="FollowPath"))
+    want = {"mine": 1, "speed": 1.5, "inner": {"frame": "odom"}}
+    until(lambda: master.call("getParam", "/kept") == want, "the node's values are in ROS 1", 20)
+    assert any("/kept/huge: ROS 1 has no integer" in warning for warning in parameters.warnings())
+    node.values["FollowPath.speed"] = Value(Kind.DOUBLE, 2.5)
+    until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1", 20)
+    del node.values["FollowPath.inner.frame"]
+    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "what it no longer has is gone", 20)
+    assert node.set == []
+    parameters.stop()
+    assert master.call("getParam", "/kept").keys() <= {"mine", "inner"}
+
+
+@needs_ros1
+def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(hubs[1], "/asked_node", speed=Value(Kind.DOUBLE, 1.5), mode=Value(Kind.STRING, "slow"))
+    parameters = share(rule("ros2", "/asked", "/asked_node"))
+    until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both are in ROS 1", 20)
+    master.call("setParam", "/asked/speed", 3)
+    parameters.changed()
+    until(lambda: node.values["speed"] == Value(Kind.DOUBLE, 3.0), "the node has ROS 1's value", 20)
+    node.refuses = {"mode"}
+    master.call("setParam", "/asked/mode", "fast")
+    until(lambda: master.call("getParam", "/asked/mode") == "slow", "what it refused is put back", 20)
+    assert ("mode", "fast") in node.set
+    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "it is told", 20)
+    assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
+
+
+@needs_ros1
+def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(hubs[1], "/read_node", speed=Value(Kind.DOUBLE, 1.5))
+    share(rule("ros2", "/read_only", "/read_node", write=False))
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1", 20)
+    master.call("setParam", "/read_only/speed", 3.0)
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is put back", 20)
+    assert node.set == []
+
+
+@needs_ros1
+def test_nothing_is_kept_for_a_node_that_is_away(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    node = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 1.5))
+    parameters = share(rule("ros2", "/away", "/away_node"))
+    until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1", 20)
+    node.close()
+    until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone", 20)
+    master.call("setParam", "/away/speed", 9.0)
+    again = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 2.0))
+    until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts", 20)
+    assert again.set == []
+
+
+@needs_ros1
+def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
+    with RosMaster() as master:
+        master.call("setParam", "/gone/speed", 1.0)
+        store = Store(master.uri, lambda: "/midspan_test", NOBODY)
+        parameters = Parameters([rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True)
+        try:
+            assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
+            master.stop()
+            until(lambda: not hubs[1].graph.servers("/gone_node/get_parameters"), "the node is gone", 20)
+            assert any("cannot be asked" in warning for warning in parameters.warnings())
+            master.start()
+            master.call("setParam", "/gone/speed", 2.0)
+            assert Client(hubs[1], "/gone_node").get("speed") == [2.0]
+            until(lambda: parameters.warnings() == [], "all is well again", 20)
+        finally:
+            parameters.stop()
+
+
+@needs_ros1
+def test_who_stands_by_shares_nothing(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
+    active = threading.Event()
+    master.call("setParam", "/standing/speed", 1.0)
+    share(rule("ros1", "/standing", "/standing_node"), active=active.is_set)
+    share(rule("ros1", "/standing", "/active_node"))
+    Client(hubs[1], "/active_node")
+    assert not hubs[1].graph.servers("/standing_node/get_parameters")
+    active.set()
+    assert Client(hubs[1], "/standing_node").get("speed") == [1.0]
+    active.clear()
+    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is gone again", 20)
