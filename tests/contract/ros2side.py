@@ -15,7 +15,7 @@ from bridge.interfaces.paths import environment
 from tests.contract.side import CUSTOM_FOLDER, Side, WorkerProcess
 from tests.support.hub import HubNetwork
 from tests.support.peer import Peer
-from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_python
+from tests.support.ros2 import ROS2_PEER, SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
 
 
 class Ros2Side(Side):
@@ -26,10 +26,13 @@ class Ros2Side(Side):
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()
 
-    def peer(self) -> Peer:
-        peer = Peer(ROS2_PEER, ros2_python(), _custom_environment(), f"peer{next(self._names)}")
+    def peer(self, **more: str) -> Peer:
+        peer = Peer(ROS2_PEER, ros2_python(), _custom_environment() | more, f"peer{next(self._names)}")
         self._open.append(peer)
         return peer
+
+    def mortal(self) -> Peer:
+        return self.peer(**SHORT_LEASE)
 
     def bridge(self, config: Config) -> WorkerProcess:
         worker = WorkerProcess("ros2", config, worker_environment(config, os.environ))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from bridge.config.model import Config
+from tests.support.peer import stop_all
 from tests.support.process import Process
 from tests.support.wait import until
 
@@ -58,6 +59,10 @@ class Side(ABC):
     def peer(self) -> PeerLike:
         """A new real program on the side."""
 
+    def mortal(self) -> PeerLike:
+        """A program that is about to be killed, and whose death is not noticed late by a setting of its own."""
+        return self.peer()
+
     @abstractmethod
     def bridge(self, config: Config) -> Bridge:
         """Start the bridge's worker for this side and return when it has joined."""
@@ -72,8 +77,7 @@ class Side(ABC):
 
     def close(self) -> None:
         """End all that was started."""
-        for thing in reversed(self._open):
-            thing.stop()
+        stop_all(self._open)
         self._open.clear()
 
 

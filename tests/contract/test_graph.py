@@ -33,7 +33,7 @@ def test_a_route_out_goes_with_its_publisher(side: Side, bridge: Bridge, far: Hu
 
 
 def test_a_killed_program_takes_its_routes_along(side: Side, bridge: Bridge, far: HubSide) -> None:
-    peer = side.peer()
+    peer = side.mortal()
     peer.advertise("/mortal", STRING)
     far.until_published("/mortal")
     peer.stop(0)

@@ -141,7 +141,7 @@ def _transforms(*children: str) -> dict:
 
 def _late_tf(far: HubSide, topic: str = "/tf_static") -> list[dict]:
     heard = far.subscribe(topic, "tf2_msgs/TFMessage", latched=True)
-    got = far.wait(heard, 1, 2)
+    got = far.wait(heard, 1)
     far.drop(heard)
     return got
 

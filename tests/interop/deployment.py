@@ -20,7 +20,7 @@ from bridge.messages.registry import Registry
 from tests.contract.hubside import HubSide
 from tests.contract.side import CUSTOM_FOLDER, CUSTOM_TYPES
 from tests.support.hub import SDK_PROGRAM
-from tests.support.peer import Peer
+from tests.support.peer import Peer, stop_all
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.ros1 import RosMaster
@@ -165,8 +165,7 @@ class Deployment:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
-        for thing in reversed(self._open):
-            thing.stop()
+        stop_all(self._open)
         if self.daemon is not None:
             if kind is not None:
                 print(self.daemon.output()[-8000:])

@@ -230,6 +230,9 @@ class Several:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        for thing in self._open:
+            if isinstance(thing, Peer):
+                thing.end()
         for daemon in self.daemons:
             daemon.end()
         for daemon in self.daemons:

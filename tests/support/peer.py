@@ -18,7 +18,7 @@ ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), 
 of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,
 feedback (a list), result, outcome (``succeed``, ``abort``, ``reject``), held, keeps (it refuses to cancel) -> id;
 ``goals`` id, count, seconds -> goals; ``send_goal`` action, type, goal -> id; ``goal`` id, until (fields that must be
-so), seconds -> accepted, feedback, status, result, cancel; ``cancel`` id.
+so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]); ``cancel`` id.
 Types are spelled ``package/Name`` on every side.
 """
 
@@ -27,7 +27,7 @@ from __future__ import annotations
 import contextlib
 import json
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,11 +77,25 @@ class Peer(Process):
         """What the peer sees of its side's graph."""
         return self.ask("graph")
 
-    def stop(self, seconds: float = 6.0) -> int:
-        """Let the program end by itself, so that it cleans up; with no ``seconds`` it is killed at once."""
-        if seconds > 0 and self.popen.poll() is None and self.popen.stdin is not None:
+    def end(self) -> None:
+        """Tell the program to end by itself, and do not wait for it."""
+        if self.popen.stdin is not None:
             with contextlib.suppress(OSError):
                 self.popen.stdin.close()
+
+    def stop(self, seconds: float = 6.0) -> int:
+        """Let the program end by itself, so that it cleans up; with no ``seconds`` it is killed at once."""
+        if seconds > 0 and self.popen.poll() is None:
+            self.end()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.popen.wait(seconds / 2)
         return super().stop(seconds)
+
+
+def stop_all(things: Sequence[Any]) -> None:
+    """Stop programs, workers and sessions, the last one first; rospy's take their time, so programs end all at once."""
+    for thing in things:
+        if isinstance(thing, Peer):
+            thing.end()
+    for thing in reversed(things):
+        thing.stop()

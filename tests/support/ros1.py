@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 from xmlrpc.client import ServerProxy
 
+import psutil
 import pytest
 
 from tests.support.peer import Peer
@@ -66,8 +67,14 @@ class RosMaster:
             self._process = None
 
     def close(self) -> None:
-        """Stop roscore and remove its files."""
-        self.stop()
+        """Kill roscore, which takes a second to stop by itself, and remove its files."""
+        if self._process is not None:
+            # its master and rosout are in sessions of their own
+            parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
+            self._process.stop(0)
+            for part in parts:
+                part.kill()
+            self._process = None
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, *params: Any) -> Any:

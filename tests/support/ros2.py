@@ -16,6 +16,9 @@ from bridge.config.model import Config
 ROS2_PEER = Path(__file__).with_name("ros2_peer.py")
 """The program that `tests.support.peer.Peer` drives on the ROS 2 side; run it with `sys.executable`."""
 
+SHORT_LEASE = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(Path(__file__).with_name("short_lease.xml"))}
+"""Environment of a program whose death is noticed after 2 s; Fast DDS's default is 20."""
+
 _DOMAINS = range(10, 100)
 """Above 101 a domain's ports reach into Linux's ephemeral ones."""
 

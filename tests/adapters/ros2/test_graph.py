@@ -15,13 +15,8 @@ from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos, Reliability
 from tests.adapters.ros2.conftest import RunningEdge
 from tests.support.peer import Peer
+from tests.support.ros2 import SHORT_LEASE
 from tests.support.wait import until
-
-SHORT_LEASE = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
-<participant profile_name="short" is_default_profile="true"><rtps><builtin><discovery_config>
-<leaseDuration><sec>2</sec></leaseDuration><leaseAnnouncement><sec>0</sec><nanosec>500000000</nanosec></leaseAnnouncement>
-</discovery_config></builtin></rtps></participant></profiles></dds>"""
 
 
 def marked_profile(folder: Path) -> tuple[Path, bytes]:
@@ -72,12 +67,8 @@ def test_endpoint_that_goes_is_noticed(edge: RunningEdge, peer: Callable[..., Pe
     assert edge.changes > before
 
 
-def test_killed_program_is_noticed_after_its_lease(
-    edge: RunningEdge, peer: Callable[..., Peer], tmp_path: Path
-) -> None:
-    profile = tmp_path / "short.xml"
-    profile.write_text(SHORT_LEASE)
-    native = peer(FASTRTPS_DEFAULT_PROFILES_FILE=str(profile))
+def test_killed_program_is_noticed_after_its_lease(edge: RunningEdge, peer: Callable[..., Peer]) -> None:
+    native = peer(**SHORT_LEASE)
     native.advertise("/g/killed", "std_msgs/String")
     edge.seen("/g/killed", Kind.PUBLISHER)
     native.signal(signal.SIGKILL)
