@@ -12,14 +12,14 @@ from tests.fuzz.target import JSON_WORDS, Subject, Target, texts
 
 def _pub() -> Subject:
     """The fields of ``midspan topic pub``."""
-    from bridge.cli.topic_pub import _fields
+    from bridge.cli.topic_pub import yaml_fields
     from bridge.messages.json import from_json
     from bridge.messages.registry import Registry
 
     registry = Registry()
 
     def parse(data: bytes) -> None:
-        from_json(registry, "geometry_msgs/msg/TwistStamped", _fields(data.decode(errors="replace")))
+        from_json(registry, "geometry_msgs/msg/TwistStamped", yaml_fields(data.decode(errors="replace")))
 
     seeds = texts(
         "{twist: {linear: {x: 0.2}}}", "header: {frame_id: map, stamp: {sec: 1}}\ntwist:\n  angular: {z: -1e-3}\n", "{}"
