@@ -155,8 +155,9 @@ def test_a_feedback_accepts_and_is_passed_on(world):
     assert accepted(answers)
     assert world.feedbacks == [(uuid(1), b"half")]
     world.ends(1, Ros1State.SUCCEEDED)
-    world.client.feedback(status(1, Ros1State.ACTIVE), b"late")
-    assert len(world.feedbacks) == 1
+    world.client.feedback(status(1, Ros1State.ACTIVE), b"overtaken")
+    assert world.feedbacks[1:] == [(uuid(1), b"overtaken")]
+    assert world.states[-1] == {uuid(1): Ros2State.SUCCEEDED}
 
 
 def test_a_result_is_given_to_all_who_ask_before_and_after(world):
@@ -283,13 +284,24 @@ def test_cancel_before_a_time(world):
     assert cancelled(both)[1] >= {3}
 
 
-def test_a_cancel_request_to_a_server_that_is_away_is_refused_and_not_kept(world):
+def test_a_cancel_request_waits_for_the_connections_and_not_for_ever(world):
     world.send(1)
     world.says((1, Ros1State.ACTIVE))
     world.client.disconnected()
-    assert cancelled(world.stop(1)) == (CancelCode.REJECTED, set())
+    early = world.stop(1)
+    assert (early, world.cancels) == ([], [])
     world.client.connected()
-    assert world.cancels == []
+    assert world.cancels == [GoalId(ZERO, name(1))]
+    world.client.disconnected()
+    late = world.stop()
+    world.passes(CONNECT_SECONDS + 0.1)
+    assert cancelled(late) == (CancelCode.REJECTED, set())
+    last = world.stop()
+    world.client.lost("the server is gone")
+    assert cancelled(last) == (CancelCode.REJECTED, set())
+    assert cancelled(early) == (CancelCode.GOAL_TERMINATED, set())
+    assert cancelled(world.stop()) == (CancelCode.REJECTED, set()), "none is kept for a server that is away"
+    assert len(world.cancels) == 1
 
 
 def test_a_new_goal_pre_empts_the_old_one(world):

@@ -25,7 +25,7 @@ RESULT_SECONDS = 2.0
 """How long a result may come after the status list named its goal's end; then it is taken for lost, and is empty."""
 
 CONNECT_SECONDS = 5.0
-"""How long a goal waits for the connections to a server that has just been found."""
+"""How long a goal or a cancel request waits for the connections to a server that has just been found."""
 
 SHOWN_SECONDS = 10.0
 """How long an ended goal stays in the status topic: as long as Jazzy's servers keep theirs."""
@@ -57,13 +57,21 @@ class Outside(Protocol):
         """A FeedbackMessage for the hub."""
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True)
 class _Cancel:
-    """One cancel request under way."""
+    """One cancel request under way.
+
+    Attributes:
+        goals: what it is about.
+        single: it names one goal alone.
+        unsent: what is still to be sent to the server, None once it was.
+    """
 
     goals: Sequence[Goal]
     single: bool
     done: Done
+    since: float
+    unsent: bytes | None
 
 
 class ActionClient:
@@ -141,16 +149,15 @@ class ActionClient:
             done(_NO_SUCH_GOAL)
         elif single and named is not None and named.state.ended:
             done(_TERMINATED)
-        elif not self._ready:
+        elif self._gone:
             done(_CANCEL_REFUSED)
         else:
             goals = [g for g in self._shelf.unfinished() if not g.state.ended and _is_meant(g, uuid, stamp)]
             id_ = "" if uuid == _ANY else named.id if named is not None else ids.text_of(uuid)
-            self._outside.cancel(wire.goal_id(GoalId(stamp, id_)))
-            request_ = _Cancel(goals, single, done)
-            self._cancels.append(request_)
-            self._answer_cancels()
-            return lambda: _remove(self._cancels, request_)
+            cancel = _Cancel(goals, single, done, self._clock(), wire.goal_id(GoalId(stamp, id_)))
+            self._cancels.append(cancel)
+            self._send_cancels()
+            return lambda: _remove(self._cancels, cancel)
         return _nothing
 
     def _abandon(self, goal: Goal) -> None:
@@ -171,6 +178,7 @@ class ActionClient:
         for goal in self._shelf.unfinished():
             if goal.body is not None:
                 self._send(goal)
+        self._send_cancels()
 
     def disconnected(self) -> None:
         """The server does not hear us now; it may come back."""
@@ -179,6 +187,7 @@ class ActionClient:
     def lost(self, reason: str) -> None:
         """The server is gone for good, and all that it was doing; until `found` is called, goals are rejected."""
         self._ready, self._gone = False, reason
+        self._refuse_cancels(float("inf"))
         for goal in self._shelf.unfinished():
             if not goal.accepted:
                 self._drop(goal, reason)
@@ -230,9 +239,9 @@ class ActionClient:
         self._flush()
 
     def feedback(self, status: GoalStatus, body: bytes) -> None:
-        """A feedback."""
+        """A feedback; one that the result overtook on its own connection is passed on too."""
         goal = self._goal(status)
-        if goal is None or goal.state.ended or goal.refused:
+        if goal is None:
             return
         self._follow(goal, status)
         if goal.accepted:
@@ -250,6 +259,7 @@ class ActionClient:
             for goal in self._shelf.unfinished():
                 if goal.body is not None and goal.since <= now - CONNECT_SECONDS:
                     self._drop(goal, "the server does not connect to this bridge")
+            self._refuse_cancels(now - CONNECT_SECONDS)
         self._shelf.expire(now)
         self._flush()
 
@@ -331,10 +341,24 @@ class ActionClient:
         goal.waiting.clear()
         self._answer_cancels()
 
+    def _send_cancels(self) -> None:
+        for cancel in self._cancels:
+            if self._ready and cancel.unsent is not None:
+                self._outside.cancel(cancel.unsent)
+                cancel.unsent = None
+        self._answer_cancels()
+
+    def _refuse_cancels(self, before: float) -> None:
+        """Give up cancel requests that could not be sent."""
+        late = [c for c in self._cancels if c.unsent is not None and c.since <= before]
+        self._cancels = [c for c in self._cancels if c not in late]
+        for cancel in late:
+            cancel.done(_CANCEL_REFUSED)
+
     def _answer_cancels(self) -> None:
         still: list[_Cancel] = []
         for cancel in self._cancels:
-            if any(_is_untouched(g) for g in cancel.goals):
+            if cancel.unsent is not None or any(_is_untouched(g) for g in cancel.goals):
                 still.append(cancel)
                 continue
             canceling = [g.info for g in cancel.goals if g.state in (Ros2State.CANCELING, Ros2State.CANCELED)]
