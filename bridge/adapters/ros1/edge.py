@@ -64,6 +64,7 @@ class Ros1Edge(Edge):
     """Joins one ROS 1 graph. rospy is one per process, and so is this edge; once stopped it does not start again."""
 
     side: ClassVar[str] = "ros1"
+    services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         self._config, self._registry = config, registry
@@ -382,6 +383,7 @@ class Ros1Edge(Edge):
         self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
     ) -> Callable[[], None]:
         """Carry them between the master's parameter server and the hub; see `Edge.carry_parameters`."""
+        self._parameters = None
         if not rules or self._node is None or self._master is None:
             return super().carry_parameters(rules, hub, active)
         from bridge.adapters.ros1.parameters.follower import Parameters

@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from bridge.adapters.base import (
     Deliver,
@@ -52,6 +52,10 @@ from bridge.messages.hashes import rihs01
 from bridge.messages.refusals import refusal
 from bridge.messages.registry import Registry
 
+if TYPE_CHECKING:
+    from bridge.config.sections.parameters import ParameterRule
+    from bridge.hub.session import Hub
+
 _log = logging.getLogger(__name__)
 
 _Service = TypeVar("_Service", Ros2Caller, Ros2Server)
@@ -65,6 +69,7 @@ class Ros2Edge(Edge):
     """One participant on a ROS 2 (DDS) network. A process has one at a time: the mark is the process's."""
 
     side: ClassVar[str] = "ros2"
+    services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         self._config, self._registry, self._state = config, registry, state
@@ -136,6 +141,22 @@ class Ros2Edge(Edge):
             endpoint.refit()
         if self._listener is not None:
             self._listener.graph_changed()
+
+    def carry_parameters(
+        self, rules: Sequence[ParameterRule], hub: Hub, active: Callable[[], bool]
+    ) -> Callable[[], None]:
+        """Be the nodes whose parameters ROS 1 owns: `ros2 param` asks for services only of nodes that are there."""
+        del hub, active
+        participant = self._participant
+        assert participant is not None
+        names = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
+        nodes = [participant.make_node(name) for name in names]
+
+        def leave() -> None:
+            while nodes:
+                participant.destroy(nodes.pop())
+
+        return leave
 
     def announce(self, record: bytes) -> None:
         """See `Edge.announce`."""

@@ -70,6 +70,12 @@ class Participant:
             for info in _rclpy.rclpy_get_publishers_info_by_topic(self._node, _DISCOVERY, True)
         ]
 
+    def make_node(self, name: str) -> Any:
+        """Another node of this participant, with nothing of its own; ``name`` is the full one."""
+        namespace, _, base = name.rpartition("/")
+        with self._lock:
+            return _rclpy.Node(base, namespace, self._context.handle, [], False, False)
+
     def make_writer(self, message_class: Any, topic: str, qos: Qos) -> Any:
         """A DDS writer; it has ``pointer``, ``rcl_publisher_t *``."""
         with self._lock, _explained(topic, message_class):
