@@ -44,6 +44,11 @@ class Server:
         self._lock = Lock()
         self._end: HubServer = hub.server(name, type_name, side.type_id, self._call)
 
+    @property
+    def waiting(self) -> int:
+        """Requests that have no answer yet."""
+        return self._waiting
+
     def close(self) -> None:
         """Serve no more."""
         self._end.close()

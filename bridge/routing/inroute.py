@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bridge.adapters.base import EdgeSubscription, Endpoint
+from bridge.clock import CLOCK_TOPIC, CLOCK_TYPE
 from bridge.hub.errors import HubError
 from bridge.hub.publisher import HubPublisher
 from bridge.hub.qos import Durability, Qos, Reliability
@@ -75,6 +76,8 @@ class InRoute(TopicRoute):
     ) -> None:
         super().__init__(key, hub_topic, key.topic, conversion, decision)
         self._joint = joint
+        # a session does not hear on the hub what it says itself
+        self._tells_time = (hub_topic, self.hub_type) == (CLOCK_TOPIC, CLOCK_TYPE) and joint.edge.clock.simulated
         self._sources: dict[str, _Source] = {}
         self._shared: HubPublisher | None = None
         self._static: StaticTransforms | None = None
@@ -224,6 +227,8 @@ class InRoute(TopicRoute):
             self.bad(str(err))
             return
         self.counters.crossed(len(data))
+        if self._tells_time:
+            self._joint.edge.clock.hear(data)
 
     def _stale(self, known: _Source, time_ns: int | None) -> bool:
         timeout = self.decision.timeout

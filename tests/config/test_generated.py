@@ -14,7 +14,7 @@ from bridge.config.hints import all_keys
 from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.parameters import ParameterRule
 from bridge.config.sections.routing import QosOverride, Rule
-from bridge.config.sections.yarp import Topic
+from bridge.config.sections.yarp import Service, Topic
 from bridge.config.sections.zenoh import Dialect, DialectKey
 
 ROOT = Path(__file__).parents[2]
@@ -36,13 +36,14 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("zenoh", "dialects"),
             ("yarp", "topics"),
             ("yarp", "peers"),
+            ("yarp", "services"),
             ("modules", "own"),
         )
         if path[:2] in lists and len(path) > 2:
             continue
         for key in path:
             part = part[key]
-    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, OwnModule):
+    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule):
         for name, info in model.model_fields.items():
             assert f"- {info.alias or name} (" in text
     assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
@@ -54,7 +55,7 @@ def test_every_key_is_described() -> None:
             assert info.description, f"{model.__name__}.{name}"
 
     sections = (type(getattr(Config(), name)) for name in Config.model_fields)
-    for model in (Config, Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, OwnModule, *sections):
+    for model in (Config, Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, *sections):
         if hasattr(model, "model_fields"):
             check(model)
 

@@ -25,7 +25,7 @@ TOPIC = "topic: /scan, type: sensor_msgs/msg/LaserScan"
         ("yarp: {topics: [{topic: /scan, fields: ['rad(x)']}]}", "is no field"),
         ("yarp: {topics: [{topic: /scan, carrier: udp}]}", "'carrier' is for a connection"),
         ("yarp: {output: '/x:o'}", "is no scheme of port names"),
-        ("yarp: {output: '/x{topic}', input: '/x{topic}'}", "output and input are one name"),
+        ("yarp: {output: '/x{topic}', input: '/x{topic}'}", "output, input and rpc are not three names"),
         ("yarp: {address: robot}", "is no address with a port"),
         ("yarp: {profile: yarp5}", "yarp3"),
         (

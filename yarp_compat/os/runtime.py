@@ -7,13 +7,13 @@ import logging
 import os
 import threading
 import weakref
-from typing import Any, Protocol
+from typing import Protocol
 
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.naming import Naming
 from yarp_compat.os.log import print_as_yarp
 from yarp_compat.os.time import use_the_asked_clock, useSystemClock
-from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.naming import LocalNaming, Unregistered
 from yarp_compat.wire.contact import Contact
 from yarp_compat.wire.profile import Profile
 
@@ -25,28 +25,6 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Close it."""
-
-
-class _Unregistered:
-    """A name server that is only asked, not told."""
-
-    def __init__(self, naming: Naming) -> None:
-        self._naming = naming
-        self.query = naming.query
-        self.get_property = naming.get_property
-
-    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
-        """Have the port listen where it wants to."""
-        return Contact(name, host or "127.0.0.1", port, carrier or "tcp")
-
-    def unregister(self, name: str) -> None:
-        """There is nothing to forget."""
-
-    def set_property(self, name: str, key: str, *values: Any) -> None:
-        """Nobody keeps properties of a port that is not registered."""
-
-    def announce(self, name: str, alive: bool = True) -> None:
-        """Nobody waits for it."""
 
 
 class Runtime:
@@ -110,7 +88,7 @@ class Runtime:
     @property
     def unregistered(self) -> Naming:
         """Knows the same names, and registers none."""
-        return _Unregistered(self.naming)
+        return Unregistered(self.naming)
 
     @property
     def client(self) -> NameClient | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import select
 import selectors
 import socket
 import threading
@@ -98,6 +99,18 @@ class Input:
         self.wake()
         if (waiting := self._waiting) is not None:
             waiting.give_up()
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the peer has closed the connection; only asked while it waits for a reply."""
+        try:
+            if not hasattr(socket, "MSG_DONTWAIT"):
+                return bool(select.select([self.sock], [], [], 0)[0]) and not self.sock.recv(1, socket.MSG_PEEK)
+            return not self.sock.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+        except (BlockingIOError, ValueError):
+            return False
+        except OSError:
+            return True
 
     def retire(self) -> None:
         """End the connection when what has come of it is read."""

@@ -1,4 +1,4 @@
-"""A name server for the ports of one process."""
+"""Name servers for ports that nobody else is to find: a table in this process, or one that is only asked."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
+from yarp_compat.naming.naming import Naming
 from yarp_compat.wire.contact import Contact
 
 
@@ -57,3 +58,24 @@ class LocalNaming:
 
     def announce(self, name: str, alive: bool = True) -> None:
         """Nobody waits for it here."""
+
+
+class Unregistered:
+    """A name server that is only asked, not told: for ports that call others and are not to be found themselves."""
+
+    def __init__(self, naming: Naming) -> None:
+        self.query = naming.query
+        self.get_property = naming.get_property
+
+    def register(self, name: str, host: str = "", port: int = 0, *, carrier: str = "") -> Contact:
+        """Have the port listen where it wants to."""
+        return Contact(name, host or "127.0.0.1", port, carrier or "tcp")
+
+    def unregister(self, name: str) -> None:
+        """There is nothing to forget."""
+
+    def set_property(self, name: str, key: str, *values: Any) -> None:
+        """Nobody keeps properties of a port that is not registered."""
+
+    def announce(self, name: str, alive: bool = True) -> None:
+        """Nobody waits for it."""

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from bridge.adapters.yarp.call_bottles import CallBottles
+from bridge.config.sections.yarp import Service as ServiceRule
 from bridge.config.sections.yarp import Topic, YarpSection
 from bridge.messages.registry import Registry
 from bridge.messages.yarp.codec import Codec
@@ -54,6 +56,8 @@ class Contents:
         self.incoming = [self._foreign(rule) for rule in foreign if rule.direction == "in"]
         self.outgoing = [self._foreign(rule) for rule in foreign if rule.direction == "out"]
         self.declared: Sequence[Topic] = [rule for _, rule in self._own if rule.brings]
+        self._services = [(glob_regex(rule.service), rule) for rule in section.services if rule.port is None]
+        self.called = [rule for rule in section.services if rule.port is not None]
         self._codecs: dict[tuple[str, str, Content, Profile], Codec] = {}
         self._lock = threading.Lock()
 
@@ -75,6 +79,19 @@ class Contents:
         """What the ports of a topic carry."""
         rule = next((rule for pattern, rule in self._own if pattern.fullmatch(topic)), None)
         return Content(self._section.as_, profile=self.profile) if rule is None else self._content(rule)
+
+    def served_by(self, service: str) -> ServiceRule | None:
+        """The rule by which a port of a YARP program is a service; None where there is none."""
+        return next((rule for rule in self.called if rule.service == service), None)
+
+    def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:
+        """The converter of a service's calls; raises `MessageTypeError`."""
+        rule = self.served_by(service) or next(
+            (rule for pattern, rule in self._services if pattern.fullmatch(service)), None
+        )
+        request, reply = ((), ()) if rule is None else (rule.request, rule.reply)
+        asked, told = ([Entry.parse(entry) for entry in part] for part in (request, reply))
+        return CallBottles(self._registry, type_name, type_hash, asked, told, self.profile)
 
     def latched(self, topic: str) -> bool:
         """Whether the last message from YARP is kept for late joiners."""

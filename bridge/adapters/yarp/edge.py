@@ -16,8 +16,10 @@ from typing import Any, ClassVar
 from bridge.adapters.base import (
     Deliver,
     Edge,
+    EdgeCaller,
     EdgeListener,
     EdgePublisher,
+    EdgeServer,
     EdgeSubscription,
     Endpoint,
     Kind,
@@ -33,14 +35,17 @@ from bridge.adapters.yarp.outlet import TopicOutput, TopicPublisher
 from bridge.adapters.yarp.plan import Wanted, make_plan
 from bridge.adapters.yarp.ports import OwnPorts
 from bridge.adapters.yarp.presence import Presence
+from bridge.adapters.yarp.services import Services
 from bridge.config.model import Config
+from bridge.hub.call import Call
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from bridge.messages.text import full_text
 from bridge.messages.yarp.codec import is_stamped
+from bridge.routing.subject import split
 from yarp_compat.naming.errors import NamingError
 
 _log = logging.getLogger(__name__)
@@ -61,12 +66,13 @@ class YarpEdge(Edge):
     """Joins a YARP network."""
 
     side: ClassVar[str] = "yarp"
+    services: ClassVar[bool] = True
 
     def __init__(self, config: Config, registry: Registry, state: Path) -> None:
         section = config.yarp
         self._config, self._registry = config, registry
         self._poll = section.poll
-        self._names = PortNames(section.output, section.input, config.name)
+        self._names = PortNames(section.output, section.input, section.rpc, config.name)
         self._contents = Contents(section, registry)
         self._network = YarpNetwork(section, state)
         self._owner = _owner(state / "yarp_owner")
@@ -86,6 +92,9 @@ class YarpEdge(Edge):
         )
         self._presence = Presence(
             self._owner, config.name, self._network.naming, registry, self._presence_changed, self._wake_up, section.ip
+        )
+        self._services = Services(
+            self._contents, registry, self._network.naming, config.limits.message_bytes, self._wake_up
         )
         self._lock = threading.Lock()
         self._outputs: dict[str, TopicOutput] = {}
@@ -167,7 +176,8 @@ class YarpEdge(Edge):
             self._names,
             self._graph,
         )
-        self._ports.follow(plan, outputs)
+        self._ports.follow(plan | self._services.plan(self._names), outputs, self._services.served())
+        self._ports.look_for_callers()
         for inlet in self._ports.inlets():
             subscription = heard.get((inlet.topic, inlet.type))
             inlet.hear(None if subscription is None else subscription.deliver)
@@ -238,7 +248,15 @@ class YarpEdge(Edge):
 
     def endpoints(self) -> Sequence[Endpoint]:
         """Ports that rules name, ports of topics that anybody writes to, and ports opened as ``/topic@/node``."""
-        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers()]
+        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
+
+    def _called(self) -> list[Endpoint]:
+        """RPC ports that rules name as services."""
+        return [
+            self._endpoint(port, Kind.SERVER, service, type_name, port)
+            for port, service, type_name in self._services.called()
+            if self._graph.is_there(port)
+        ]
 
     def _declared(self) -> list[Endpoint]:
         return [
@@ -326,6 +344,28 @@ class YarpEdge(Edge):
     def learn(self, type_name: str, definition: str) -> None:
         """See `Edge.learn`."""
         self._registry.learn_ros2(type_name, definition)
+
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
+        """An action's parts are not for YARP programs one by one."""
+        return "a part of an action; YARP programs have other ports for goals" if split(topic)[1] else ""
+
+    # -- services ------------------------------------------------------------------------------------------------------
+
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """The edge itself converts what is asked and answered: each port may carry something else."""
+        return self._services.conversion(endpoint.type)
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """See `service_to_hub`."""
+        return self._services.conversion(type_name, type_hash)
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """Call the RPC port that a rule names."""
+        return self._services.caller(name, side_type)
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve a service by an RPC port, which is opened as soon as the name server takes it."""
+        return self._services.serve(name, side_type, call)
 
     # -- endpoints of ours ---------------------------------------------------------------------------------------------
 

@@ -24,18 +24,19 @@ class PortNames:
 
     output_scheme: str
     input_scheme: str
+    rpc_scheme: str
     daemon: str
 
     def may_be(self, name: str) -> bool:
         """Whether the bridge might have called a port so."""
         return any(
             name.startswith(scheme.partition("{topic}")[0]) and name.endswith(scheme.partition("{topic}")[2])
-            for scheme in (self.output_scheme, self.input_scheme)
+            for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme)
         )
 
     def spare(self, name: str) -> str:
         """Another name for a port, where a daemon on another hub has a port of the same topic."""
-        for scheme in (self.output_scheme, self.input_scheme):
+        for scheme in (self.output_scheme, self.input_scheme, self.rpc_scheme):
             before, _, behind = scheme.partition("{topic}")
             if name.startswith(before) and name.endswith(behind):
                 return f"{before}/{self.daemon}{name[len(before) :]}"
@@ -48,6 +49,10 @@ class PortNames:
     def input(self, topic: str) -> str:
         """The port by which anybody writes to a topic."""
         return self.input_scheme.replace("{topic}", topic)
+
+    def rpc(self, service: str) -> str:
+        """The port that serves a service."""
+        return self.rpc_scheme.replace("{topic}", service)
 
     def output_to(self, topic: str, port: str) -> str:
         """The port that writes a topic's messages to one port of a rule, in a content of its own."""

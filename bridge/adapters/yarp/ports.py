@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 from bridge.adapters.base import MadeBy
+from bridge.adapters.yarp.call_bottles import CallBottles
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.crew import Crew
 from bridge.adapters.yarp.graph import Graph
@@ -18,7 +19,9 @@ from bridge.adapters.yarp.inlet import Inlet
 from bridge.adapters.yarp.names import DAEMON, OWNER, PortNames
 from bridge.adapters.yarp.outlet import Outlet, TopicOutput
 from bridge.adapters.yarp.plan import Link, PortPlan
+from bridge.adapters.yarp.served import ServedPort
 from bridge.adapters.yarp.shown import shown
+from bridge.hub.call import Call
 from bridge.messages.errors import MessageTypeError
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
@@ -42,6 +45,22 @@ _LEAVE_SECONDS = 0.02
 """Seconds that each thread has to end, where it has nothing to do any more."""
 
 
+class Served(Protocol):
+    """A service of the hub that YARP programs may call."""
+
+    @property
+    def name(self) -> str:
+        """The service's."""
+
+    @property
+    def bottles(self) -> CallBottles:
+        """The converter."""
+
+    @property
+    def call(self) -> Call:
+        """The service itself."""
+
+
 @dataclass(eq=False)
 class Own:
     """One port that is open."""
@@ -51,6 +70,8 @@ class Own:
     inlet: Inlet | None
     output: TopicOutput | None
     links: Mapping[str, Link]
+    served: ServedPort | None = None
+    service: Served | None = None
     due: dict[str, float] = field(default_factory=dict)
     making: dict[str, Future[bool]] = field(default_factory=dict)
 
@@ -92,6 +113,7 @@ class OwnPorts:
         self._refused, self._changed = refused, changed
         self._limit, self._ip = limit, ip
         self._own: dict[str, Own] = {}
+        self._services: Mapping[str, Served] = {}
         self._taken: frozenset[str] = frozenset()
         self._trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = Crew(_THREADS, "midspan-yarp-links"), Crew(_THREADS, "midspan-yarp-ends")
@@ -132,10 +154,19 @@ class OwnPorts:
         owns = sorted(self._own.values(), key=lambda own: own.core.name)
         return [shown(own.plan, own.core, self._contents.generations) for own in owns]
 
+    def look_for_callers(self) -> None:
+        """Abandon the calls whose callers have gone."""
+        for own in self._own.values():
+            if own.served is not None:
+                own.served.look()
+
     # -- what there should be ------------------------------------------------------------------------------------------
 
-    def follow(self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput]) -> None:
+    def follow(
+        self, plan: Mapping[str, PortPlan], outputs: Mapping[str, TopicOutput], services: Mapping[str, Served]
+    ) -> None:
         """Make the ports those of the plan."""
+        self._services = services
         gone = [name for name, own in self._own.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
         self._close([self._own.pop(name) for name in gone])
         now = time.monotonic()
@@ -147,8 +178,9 @@ class OwnPorts:
             elif now >= self._trouble.get(name, (0.0, ""))[0]:
                 self._open(port, outputs.get(port.topic))
 
-    @staticmethod
-    def _stale(own: Own, outputs: Mapping[str, TopicOutput]) -> bool:
+    def _stale(self, own: Own, outputs: Mapping[str, TopicOutput]) -> bool:
+        if own.service is not None:
+            return self._services.get(own.plan.topic) is not own.service
         return own.output is not None and outputs.get(own.plan.topic) is not own.output
 
     def _open(self, port: PortPlan, output: TopicOutput | None) -> None:
@@ -184,6 +216,10 @@ class OwnPorts:
         raise NamingError(msg)
 
     def _made(self, port: PortPlan, name: str, output: TopicOutput | None) -> Own:
+        if port.rpc:
+            service = self._services[port.topic]
+            served = ServedPort(service.name, service.bottles, service.call, self.made_by, self._refused)
+            return Own(port, self._core(port, name, served), None, None, port.links, served, service)
         side, profile = port.type, port.content.profile
         if port.writes:
             self._contents.codec(port.content, side, port.type_hash, profile)  # tells at once what cannot be said
@@ -205,10 +241,11 @@ class OwnPorts:
         """Who made a port."""
         return MadeBy.MIDSPAN if self.is_ours(name) else self._graph.made_by(name)
 
-    def _core(self, port: PortPlan, name: str, inlet: Inlet | None) -> PortCore:
+    def _core(self, port: PortPlan, name: str, hearer: Inlet | ServedPort | None) -> PortCore:
         core = PortCore(
             name,
-            on_message=inlet.on_message if inlet is not None else None,
+            on_message=hearer.on_message if hearer is not None else None,
+            rpc=port.rpc,
             naming=self._naming,
             type_name="",
             limit=self._limit,
@@ -327,6 +364,8 @@ class OwnPorts:
                 own.output.drop(own.core)
             if own.inlet is not None:
                 own.inlet.hear(None)
+            if own.served is not None:
+                own.served.close()
         ends = [self._ends.submit(own.core.close) for own in owns]
         deadline = time.monotonic() + _STOP_SECONDS
         for end in ends:

@@ -18,6 +18,7 @@ _PORT = re.compile(r"(?:/[^\s/\"'*()\[\]{}]+)+")
 _SCHEME = re.compile(r"/[^\s\"'*()\[\]]*\{topic\}[^\s\"'*()\[\]{}]*")
 _ADDRESS = re.compile(r"[A-Za-z0-9_.-]+:[0-9]{1,5}|\[[0-9a-fA-F:]+\]:[0-9]{1,5}")
 _TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+_SERVICE_TYPE = re.compile(r"[A-Za-z]\w*/srv/[A-Za-z]\w*", re.ASCII)
 _ENTRY = re.compile(r"(deg\()?[A-Za-z]\w*(\.[A-Za-z]\w*)*(\[\d{1,9}\])?(?(1)\))|'[^']*'", re.ASCII)
 
 
@@ -141,6 +142,61 @@ class Peer(Section):
         return _release(value)
 
 
+class Service(Section):
+    """One rule: what the RPC port of some services carries, or which RPC port of a YARP program is a service.
+
+    Without `port` it is about the services' own RPC ports, and the first rule whose `service` matches counts. With
+    `port` that port, wherever it lives, serves the service of the type `type`.
+    """
+
+    service: str = Field(description="The service, for example `/static_map`; without `port` a glob too.")
+    port: str | None = Field(default=None, description="An RPC port of a YARP program, for example `/lamp/rpc:i`.")
+    type: str | None = Field(
+        default=None, description="The service's type, spelled as in ROS 2: `std_srvs/srv/SetBool`; with `port`."
+    )
+    request: tuple[int | float | str, ...] = Field(
+        default=(),
+        description="The values of the request's Bottle, as `fields` of topics: `['set', data]`; default all fields as"
+        " nested lists.",
+    )
+    reply: tuple[int | float | str, ...] = Field(default=(), description="The values of the reply's Bottle.")
+    carrier: str | None = Field(default=None, description="With `port`: how it is connected, for example `fast_tcp`.")
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @field_validator("port")
+    @classmethod
+    def _port_is_one(cls, value: str | None) -> str | None:
+        return Topic._port_is_one(value)
+
+    @field_validator("type")
+    @classmethod
+    def _type_is_spelled_as_in_ros2(cls, value: str | None) -> str | None:
+        if value is not None and not _SERVICE_TYPE.fullmatch(value):
+            msg = f"{value!r} is no service type as ROS 2 spells them, for example std_srvs/srv/SetBool"
+            raise ValueError(msg)
+        return value
+
+    @field_validator("request", "reply")
+    @classmethod
+    def _fields_are_fields(cls, value: tuple[int | float | str, ...]) -> tuple[int | float | str, ...]:
+        return Topic._fields_are_fields(value)
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Service:
+        if not self.service.startswith(("/", "**")):
+            msg = f"{self.service!r} is no service: names begin with a slash"
+        elif self.port is not None and ROS2_NAME.fullmatch(self.service) is None:
+            msg = f"{self.service!r} is no service's name, and a port is one service"
+        elif self.port is not None and self.type is None:
+            msg = f"a port does not tell its type: give the 'type' of the service that {self.port} serves"
+        elif self.port is None and (self.type or self.carrier):
+            msg = "'type' and 'carrier' are for a 'port'"
+        else:
+            return self
+        raise ValueError(msg)
+
+
 class YarpSection(Section):
     """The YARP network: its name server, and what the ports of topics are called and carry."""
 
@@ -179,8 +235,14 @@ class YarpSection(Section):
     input: str = Field(
         default="/midspan{topic}:i", description="Name of the port by which YARP programs write to a topic."
     )
+    rpc: str = Field(
+        default="/midspan{topic}/rpc", description="Name of the RPC port that serves a service to YARP programs."
+    )
     poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the name server.")
     topics: tuple[Topic, ...] = Field(default=(), description="What ports carry, and which ports are topics.")
+    services: tuple[Service, ...] = Field(
+        default=(), description="What RPC ports carry, and which RPC ports are services."
+    )
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -224,7 +286,7 @@ class YarpSection(Section):
             raise ValueError(msg)
         return value
 
-    @field_validator("output", "input")
+    @field_validator("output", "input", "rpc")
     @classmethod
     def _name_has_the_topic(cls, value: str) -> str:
         if not _SCHEME.fullmatch(value):
@@ -235,8 +297,9 @@ class YarpSection(Section):
     @model_validator(mode="after")
     def _fits_together(self) -> YarpSection:
         ports = [(topic.port, topic.topic) for topic in self.topics if topic.port is not None]
-        if self.output == self.input:
-            msg = "output and input are one name"
+        ports += [(service.port, service.service) for service in self.services if service.port is not None]
+        if len({self.output, self.input, self.rpc}) < 3:
+            msg = "output, input and rpc are not three names"
         elif len(set(ports)) < len(ports):
             msg = f"names the port {max(ports, key=ports.count)[0]} twice for one topic"
         else:

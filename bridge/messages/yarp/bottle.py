@@ -5,6 +5,7 @@ Its fields are ROS 1's, as that converter knows no others: a header has its ``se
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bridge.messages.definition import Schema, World
@@ -20,33 +21,34 @@ from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 
+Convert = Callable[[bytes], bytes]
 
-class BottleCodec(Codec):
+
+class RosBottle(Codec):
     """Messages as nested lists in field order.
 
-    Raises:
-        MessageTypeError: the type is unknown, or neither ROS 1 nor YARP can say it.
+    Args:
+        schema: the ROS 1 type.
+        to_ros1: makes its bytes of the hub's, and ``to_cdr`` the way back.
+        profile: of the ports that are written to.
+        stamped: it begins with a header.
     """
 
-    def __init__(self, registry: Registry, type_name: str, type_hash: str, profile: Profile) -> None:
-        self._profile = profile
-        self._stamped = is_stamped(registry.schema(type_name, type_hash))
-        out = registry.hub_to_ros1(type_name, type_hash)
-        back = registry.ros1_to_hub(out.target.name, out.target.type_id)
-        self._to_ros1, self._to_cdr = out.convert, back.convert
-        self._schema = _schema(out.target.name, out.target.definition)
+    def __init__(
+        self, schema: Schema, to_ros1: Convert, to_cdr: Convert, profile: Profile, *, stamped: bool = False
+    ) -> None:
+        self._profile, self._stamped = profile, stamped
+        self._to_ros1, self._to_cdr = to_ros1, to_cdr
+        self._schema = schema
         self._layouts = {known: Layout(self._schema, known) for known in Profile}
-        self.ros1 = out.target
 
     def to_yarp(self, cdr: bytes) -> Outgoing:
         """See `Codec`."""
-        assert self._to_ros1 is not None
         bottle = self._layouts[self._profile].to_bottle(self._to_ros1(cdr))
         return Outgoing([bottle], (stamp_of(cdr) or None) if self._stamped else None)
 
     def to_hub(self, payload: Buffer, profile: Profile | None, stamp_ns: int | None) -> bytes:
         """See `Codec`; a Bottle that people wrote by hand is taken too."""
-        assert self._to_cdr is not None
         data = bytes(payload)
         try:
             ros1 = self._layouts[profile or self._profile].to_ros1(data)
@@ -54,6 +56,24 @@ class BottleCodec(Codec):
             ros1 = to_ros1(self._schema, decode_arrays(data, profile))
         cdr = self._to_cdr(ros1)
         return with_stamp(cdr, stamp_ns) if self._stamped else cdr
+
+
+class BottleCodec(RosBottle):
+    """Messages of one type as nested lists in field order.
+
+    Raises:
+        MessageTypeError: the type is unknown, or neither ROS 1 nor YARP can say it.
+    """
+
+    def __init__(self, registry: Registry, type_name: str, type_hash: str, profile: Profile) -> None:
+        out = registry.hub_to_ros1(type_name, type_hash)
+        back = registry.ros1_to_hub(out.target.name, out.target.type_id)
+        assert out.convert is not None
+        assert back.convert is not None
+        stamped = is_stamped(registry.schema(type_name, type_hash))
+        schema = _schema(out.target.name, out.target.definition)
+        super().__init__(schema, out.convert, back.convert, profile, stamped=stamped)
+        self.ros1 = out.target
 
 
 def _schema(name: str, definition: str) -> Schema:

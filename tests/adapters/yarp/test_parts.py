@@ -52,7 +52,7 @@ def test_times_of_a_simulation_are_no_system_time() -> None:
 
 
 def test_names_of_ports() -> None:
-    names = PortNames("/midspan{topic}:o", "/robot/in{topic}", "r1")
+    names = PortNames("/midspan{topic}:o", "/robot/in{topic}", "/midspan{topic}/rpc", "r1")
     assert names.output("/camera/image") == "/midspan/camera/image:o"
     assert names.input_from("/scan", "/laser:o") == "/robot/in/scan/from/laser:o"
     assert names.spare(names.output("/scan")) == "/midspan/r1/scan:o"

@@ -1,0 +1,198 @@
+"""Services and RPC ports: the hub's services for YARP programs, and ports of rules as services."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.clock import SYSTEM
+from bridge.hub.call import CallError
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from tests.adapters.yarp.conftest import Place
+from tests.support.wait import until
+from yarp_compat.pythonic import Client, Server
+from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import Vocab
+
+BOOL, PLAN, EMPTY = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan", "std_srvs/srv/Empty"
+
+
+class Robot:
+    """A node of the hub."""
+
+    def __init__(self, place: Place) -> None:
+        self.loop = Loop("robot")
+        self.node = Node(Hub.open(place.hubs.settings("robot")), Registry(), self.loop, SYSTEM)
+        self.loop.start()
+        self.held: list[Any] = []
+
+    def switch(self, request: dict[str, Any], answer: Any) -> None:
+        if request["data"]:
+            answer({"success": True, "message": "is on"})
+        else:
+            self.held.append(answer)
+
+    def call(self, client: Any, request: dict[str, Any]) -> list[Any]:
+        replies: list[Any] = []
+        until(lambda: client.ready, "there is a server", 20)
+        client.call(request, replies.append)
+        return replies
+
+    def stop(self) -> None:
+        self.node.close()
+        self.loop.close()
+        self.node.hub.close()
+
+
+@pytest.fixture
+def robot(place: Place) -> Iterator[Robot]:
+    return place.keep(Robot(place))
+
+
+def asking(place: Place, port: str, profile: Profile = Profile.YARP3) -> Client:
+    until(lambda: place.names.client.query(port), f"{port} is there", 20)
+    return place.keep(_Closing(Client(port, "/asks", naming=place.names.client, profile=profile).open())).end
+
+
+class _Closing:
+    def __init__(self, end: Any) -> None:
+        self.end = end
+
+    def stop(self) -> None:
+        self.end.close()
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_a_service_of_the_hub_is_an_rpc_port(place: Place, robot: Robot, profile: Profile) -> None:
+    robot.node.server("/lamp", BOOL, robot.switch)
+    robot.node.server("/plan", PLAN, lambda request, answer: answer({"plan": {"header": request["start"]["header"]}}))
+    place.bridge(yarp={"profile": profile.value})
+    client = asking(place, "/midspan/lamp/rpc", profile)
+    assert client.ask([True], timeout=20) == [1, "is on"]
+    assert client.ask(["on"], timeout=20)[0] == Vocab("fail")
+    plans = Client("/midspan/plan/rpc", naming=place.names.client, profile=profile)
+    with plans:
+        pose = [[0, [12, 5], "map"], [[1.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]]
+        assert plans.ask([pose, pose, 0.5], timeout=20)[0][0][1:] == [[12, 5], "map"]
+
+
+def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
+    robot.node.server("/lamp", BOOL, robot.switch)
+    cleared: list[Any] = []
+    robot.node.server("/clear", EMPTY, lambda request, answer: (cleared.append(request), answer({})))
+    rule = {"service": "/lamp", "request": ["'set'", "data"], "reply": ["message"]}
+    place.bridge(yarp={"services": [rule]})
+    client = asking(place, "/midspan/lamp/rpc")
+    assert client.ask(["set", 1], timeout=20) == ["is on"]
+    failed = client.ask(["get", 1], timeout=20)
+    assert failed[0] == Vocab("fail")
+    assert "'set'" in failed[1]
+    with Client("/midspan/clear/rpc", naming=place.names.client) as other:
+        assert other.ask([], timeout=20) == [Vocab("ok")]
+    assert cleared
+
+
+def test_a_slow_call_blocks_no_other_and_a_caller_that_leaves_is_noticed(place: Place, robot: Robot) -> None:
+    server = robot.node.server("/lamp", BOOL, robot.switch)
+    place.bridge()
+    slow = asking(place, "/midspan/lamp/rpc")
+
+    def ask() -> None:
+        with pytest.raises(ConnectionError):
+            slow.ask([False])
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    until(lambda: robot.held, "the slow one waits")
+    with Client("/midspan/lamp/rpc", naming=place.names.client) as quick:
+        assert quick.ask([True], timeout=20)[1] == "is on"
+    slow.close()
+    thread.join()
+    until(lambda: server.waiting == 0, "the call is given up", 20)
+
+
+def test_a_server_that_leaves_answers_with_an_error(place: Place, robot: Robot) -> None:
+    robot.node.server("/lamp", BOOL, robot.switch)
+    place.bridge()
+    client = asking(place, "/midspan/lamp/rpc")
+    answers: list[Any] = []
+    thread = threading.Thread(target=lambda: answers.append(client.ask([False])))
+    thread.start()
+    until(lambda: robot.held, "the call waits")
+    robot.node.close()
+    thread.join(20)
+    assert answers[0][0] == Vocab("fail")
+    until(lambda: place.names.client.query("/midspan/lamp/rpc") is None, "the port is gone", 20)
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_a_port_of_a_rule_is_a_service(place: Place, robot: Robot, profile: Profile) -> None:
+    rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL, "request": ["'set'", "data"], "reply": ["message"]}
+    place.bridge(yarp={"services": [rule]})
+    asked: list[Any] = []
+
+    def respond(values: list[Any]) -> list[Any]:
+        asked.append(values)
+        return ["is on"] if values[1] else [Vocab("fail"), "no current"]
+
+    port = Server("/lamp/rpc:i", respond, naming=place.names.client, profile=profile)
+    place.keep(_Closing(port.open()))
+    client = robot.node.client("/lamp", BOOL)
+    replies = robot.call(client, {"data": True})
+    assert until(lambda: replies, "a reply", 20)[0]["message"] == "is on"
+    assert asked[0] == ["set", 1]
+    errors = robot.call(client, {"data": False})
+    assert str(until(lambda: errors, "an error", 20)[0]) == "no current"
+
+
+def test_a_port_that_dies_in_a_call_ends_it_and_serves_again_when_it_returns(place: Place, robot: Robot) -> None:
+    rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL}
+    place.bridge(yarp={"services": [rule]})
+    gate = threading.Event()
+    client = robot.node.client("/lamp", BOOL)
+    for text in ("first", "second"):
+        gate.clear()
+        begun = threading.Event()
+
+        def respond(values: list[Any], text: str = text, begun: threading.Event = begun) -> list[Any]:
+            begun.set()
+            if not values[0]:
+                gate.wait(30)
+            return [1, text]
+
+        port = Server("/lamp/rpc:i", respond, naming=place.names.client).open()
+        done = robot.call(client, {"data": True})
+        assert until(lambda d=done: d, "a reply", 20)[0]["message"] == text
+        begun.clear()
+        waiting = [robot.call(client, {"data": False}) for _ in range(3)]
+        assert begun.wait(20)
+        quick = robot.call(client, {"data": True})
+        assert until(lambda q=quick: q, "the slow ones block no other", 20)[0]["message"] == text
+        threading.Timer(0.2, gate.set).start()
+        port.close()
+        ends = [until(lambda w=one: w, "it ends", 20)[0] for one in waiting]
+        assert all(isinstance(end, CallError) or end["message"] == text for end in ends)
+        until(lambda: not client.ready, "the service is gone", 20)
+
+
+def test_a_reply_that_is_none_is_an_error(place: Place, robot: Robot) -> None:
+    rule = {"service": "/lamp", "port": "/lamp/rpc:i", "type": BOOL}
+    place.bridge(yarp={"services": [rule]})
+    place.keep(_Closing(Server("/lamp/rpc:i", lambda _values: ["maybe"], naming=place.names.client).open()))
+    errors = robot.call(robot.node.client("/lamp", BOOL), {"data": True})
+    assert "the reply is none" in str(until(lambda: errors, "an error", 20)[0])
+
+
+def test_a_port_of_midspans_is_not_called(place: Place, robot: Robot) -> None:
+    """Nothing goes round: the hub's service is a port, and a rule takes that port for another service."""
+    robot.node.server("/lamp", BOOL, robot.switch)
+    rule = {"service": "/again", "port": "/midspan/lamp/rpc", "type": BOOL}
+    place.bridge(yarp={"services": [rule]})
+    errors = robot.call(robot.node.client("/again", BOOL), {"data": True})
+    assert "Midspan's" in str(until(lambda: errors, "an error", 20)[0])
