@@ -98,37 +98,30 @@ class Acting:
     """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
 
     def __init__(self, node: Any, params: dict[str, Any], fill: Fill, plain: Plain) -> None:
-        self.fill, self.plain = fill, plain
+        self.node, self.fill, self.plain = node, fill, plain
         self.type = found(params["type"], "action")
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
-        self.outcome = params.get("outcome", "succeed")
+        self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
         self.goals: list[Any] = []
         self.arrived = threading.Condition()
-        self.released = threading.Event()
-        if not params.get("held"):
-            self.released.set()
+        self.waits: dict[bytes, Any] = {}
         self.handle = ActionServer(
             node,
             self.type,
             params["action"],
             self.execute,
             goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
-            handle_accepted_callback=self.accepted,
-            cancel_callback=lambda _goal: CancelResponse.REJECT if params.get("keeps") else CancelResponse.ACCEPT,
+            cancel_callback=self.cancelled,
         )
 
-    def accepted(self, handle: Any) -> None:
-        """Run each goal on a thread of its own, so that a held one holds nothing up."""
+    async def execute(self, handle: Any) -> Any:
         with self.arrived:
             self.goals.append(self.plain(handle.request))
             self.arrived.notify_all()
-        threading.Thread(target=handle.execute, daemon=True).start()
-
-    def execute(self, handle: Any) -> Any:
         for fields in self.feedback:
             handle.publish_feedback(self.fill(self.type.Feedback(), fields))
-        while not self.released.wait(0.01) and not handle.is_cancel_requested:
-            pass
+        if self.held:
+            await self.waits.setdefault(bytes(handle.goal_id.uuid), Future())
         if handle.is_cancel_requested:
             handle.canceled()
         elif self.outcome == "abort":
@@ -137,16 +130,30 @@ class Acting:
             handle.succeed()
         return self.fill(self.type.Result(), self.result)
 
+    def cancelled(self, handle: Any) -> Any:
+        if self.keeps:
+            return CancelResponse.REJECT
+        self.end(bytes(handle.goal_id.uuid))
+        return CancelResponse.ACCEPT
+
+    def end(self, goal: bytes) -> None:
+        wait = self.waits.setdefault(goal, Future())
+        if not wait.done():
+            wait.set_result(None)
+        self.node.executor.wake()  # who awaits a future is not woken by its result
+
     def wait(self, count: int, seconds: float) -> list[Any]:
         with self.arrived:
             self.arrived.wait_for(lambda: len(self.goals) >= count, seconds)
             return list(self.goals)
 
     def release(self) -> None:
-        self.released.set()
+        self.held = False
+        for goal in list(self.waits):
+            self.end(goal)
 
     def drop(self) -> None:
-        self.released.set()
+        self.release()
         self.handle.destroy()
 
 
@@ -179,7 +186,11 @@ class Goal:
         self.tell(status=found.status, result=self.plain(found.result))
 
     def cancel(self) -> None:
-        self.handle.cancel_goal_async().add_done_callback(lambda f: self.tell(cancel=f.result().return_code))
+        def told(future: Any) -> None:
+            answer = future.result()
+            self.tell(cancel=[answer.return_code, len(answer.goals_canceling)])
+
+        self.handle.cancel_goal_async().add_done_callback(told)
 
     def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
         """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""

@@ -66,8 +66,8 @@ class Ros2Caller(Reader, EdgeCaller):
         # Held until `destroy`, so that the pointer stays good whatever thread closes the caller.
         self._handle.__enter__()
         self._pointer = int(self._handle.pointer)
+        self._find_gone()
         self._loop.add(self)
-        self._look_soon(0.0)
 
     @property
     def handle(self) -> Any:
@@ -180,6 +180,7 @@ class Ros2Caller(Reader, EdgeCaller):
 
     def refit(self) -> None:
         """End the calls whose servers have left."""
+        self._find_gone()
         with self._lock:
             servers = self._servers()
             self._matched = False
@@ -196,16 +197,20 @@ class Ros2Caller(Reader, EdgeCaller):
 
     def _look(self) -> None:
         """Find servers whose processes have ended, while a call waits for them."""
-        prefixes = {gid[:PREFIX_BYTES] for gid in self._graph.snapshot.servers.get(self.name, frozenset())}
-        gone = {prefix for prefix in prefixes if self._lives.is_gone(prefix)}
         with self._lock:
-            news, self._gone = gone - self._gone, gone
             self._looking = False
-        if news:
-            self.refit()
-        with self._lock:
             if self._sent and not self._closed:
                 self._look_soon(_LOOK)
+        before = self._gone
+        if self._find_gone() - before:
+            self.refit()
+
+    def _find_gone(self) -> set[bytes]:
+        """Look which servers' processes have ended; one that is new is then remembered as living."""
+        servers = self._graph.snapshot.servers.get(self.name, frozenset())
+        prefixes = {gid[:PREFIX_BYTES] for gid in servers}
+        self._gone = {prefix for prefix in prefixes if self._lives.is_gone(prefix)}
+        return self._gone
 
     def _abandon(self, calling: _Calling) -> None:
         with self._lock:

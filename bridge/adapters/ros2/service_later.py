@@ -17,12 +17,12 @@ class Later:
 
     def __init__(self) -> None:
         self._turn = threading.Condition()
-        self._errands: list[tuple[float, int, Callable[[], None]]] = []
+        self._errands: list[tuple[float, int, Callable[[], object]]] = []
         self._numbers = itertools.count()
         self._thread: threading.Thread | None = None
         self._stopping = False
 
-    def after(self, seconds: float, errand: Callable[[], None]) -> None:
+    def after(self, seconds: float, errand: Callable[[], object]) -> None:
         """Have it done after so many seconds; never after `stop`."""
         with self._turn:
             if self._stopping:
@@ -49,7 +49,7 @@ class Later:
             except Exception:
                 _log.exception("a service's errand failed")
 
-    def _next(self) -> Callable[[], None] | None:
+    def _next(self) -> Callable[[], object] | None:
         with self._turn:
             while not self._stopping:
                 left = self._errands[0][0] - time.monotonic() if self._errands else None

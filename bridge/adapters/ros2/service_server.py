@@ -139,6 +139,7 @@ class Ros2Server(Reader, EdgeServer):
             if len(self._clients) >= _MOST_CLIENTS:
                 self._clients = {gid: client for gid, client in self._clients.items() if client.busy}
             found = self._clients[gid] = Replies(self._write, self._later)
+            self._later.after(0.0, partial(self._lives.is_gone, gid[:PREFIX_BYTES]))
         return found
 
     def _refuse(self, why: str) -> bytes | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -261,9 +260,7 @@ def test_error_leaves_a_client_without_an_answer(
     assert not native.ask("result", id=first, seconds=0)["done"]
 
 
-def test_request_of_midspan_is_not_taken_up(
-    edge: RunningEdge, peer: Peers, set_bool: Service, tmp_path: Path
-) -> None:
+def test_request_of_midspan_is_not_taken_up(edge: RunningEdge, peer: Peers, set_bool: Service, tmp_path: Path) -> None:
     native, asked = peer(), Asked()
     edge.edge.serve("/s/transit", set_bool.type, asked.call)
     profile, _ = marked_profile(tmp_path)
@@ -284,7 +281,13 @@ def test_malformed_bytes_are_refused(edge: RunningEdge, peer: Peers, set_bool: S
     ):
         assert check is not None
         assert check(whole) == whole
-        for bad in (b"", whole[:4], whole[:-1] if len(whole) > 8 else whole[:4], b"\0\0" + whole[2:], whole + bytes(99)):
+        for bad in (
+            b"",
+            whole[:4],
+            whole[:-1] if len(whole) > 8 else whole[:4],
+            b"\0\0" + whole[2:],
+            whole + bytes(99),
+        ):
             with pytest.raises(ConversionError):
                 check(bad)
     caller = edge.edge.caller("/s/bad", set_bool.type)
@@ -323,7 +326,7 @@ def test_nothing_is_left_behind(edge: RunningEdge, set_bool: Service) -> None:
         for _ in range(count):
             edge.edge.caller("/s/churn", set_bool.type).close()
             edge.edge.serve("/s/churn", set_bool.type, answering(b"")).close()
-        return len(os.listdir("/proc/self/fd"))
+        return len(list(Path("/proc/self/fd").iterdir()))
 
     before = churn(3)
     until(lambda: churn(10) <= before, "as many descriptors as before")
