@@ -274,6 +274,13 @@ class Peer:
         rospy.loginfo(text)
         return {}
 
+    def do_set_param(self, name, value, **_):
+        rospy.set_param(name, value)
+        return {}
+
+    def do_get_param(self, name, **_):
+        return {"value": rospy.get_param(name, None)}
+
     def do_parameters(self, **_):
         return {"names": rosgraph.Master(rospy.get_name()).getParamNames()}
 

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from array import array
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -241,7 +242,7 @@ def obey(peer: Peer) -> None:
         print(json.dumps(answer), flush=True)
 
 
-def main() -> None:
+def main(make: Callable[[Any], Peer] = Peer) -> None:
     """Obey the commands on standard input until it ends."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
@@ -251,7 +252,7 @@ def main() -> None:
     spinner.start()
     with contextlib.suppress(EndedError):
         signal.signal(signal.SIGTERM, end)
-        obey(Peer(node))
+        obey(make(node))
     executor.shutdown(1.0)
     spinner.join(2)
     node.destroy_node()

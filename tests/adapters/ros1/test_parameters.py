@@ -36,6 +36,7 @@ from tests.support.wait import until
 
 REGISTRY = Registry()
 CODECS = codecs(REGISTRY)
+PERIOD = 0.1
 NOBODY = "http://127.0.0.1:1/"
 """Where no master can tell that something changed: what the next look finds then must do."""
 
@@ -163,7 +164,7 @@ def share(master: RosMaster, hubs: tuple[Hub, Hub]) -> Iterator[Share]:
 
     def start(*rules: ParameterRule, active: Callable[[], bool] = lambda: True) -> Parameters:
         store = Store(master.uri, lambda: "/midspan_test", NOBODY)
-        started.append(Parameters(rules, hubs[0], REGISTRY, store, active))
+        started.append(Parameters(rules, hubs[0], REGISTRY, store, active, PERIOD))
         return started[-1]
 
     yield start
@@ -386,7 +387,7 @@ def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
     with RosMaster() as master:
         master.call("setParam", "/gone/speed", 1.0)
         store = Store(master.uri, lambda: "/midspan_test", NOBODY)
-        parameters = Parameters([rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True)
+        parameters = Parameters([rule("ros1", "/gone", "/gone_node")], hubs[0], REGISTRY, store, lambda: True, PERIOD)
         try:
             assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
             master.stop()

@@ -41,12 +41,19 @@ class Parameters:
         registry: of types.
         store: ROS 1's parameter server.
         active: whether this worker is the one that joins the network to the hub.
+        period: seconds between two looks.
     """
 
     def __init__(
-        self, rules: Sequence[ParameterRule], hub: Hub, registry: Registry, store: Store, active: Callable[[], bool]
+        self,
+        rules: Sequence[ParameterRule],
+        hub: Hub,
+        registry: Registry,
+        store: Store,
+        active: Callable[[], bool],
+        period: float = PERIOD,
     ) -> None:
-        self._store, self._active = store, active
+        self._store, self._active, self._period = store, active, period
         nodes = dict.fromkeys(rule.node for rule in rules if rule.owner == "ros1")
         self._offered = [
             Offered([r for r in rules if r.node == node], hub, registry, store, self._submit, number)
@@ -101,7 +108,7 @@ class Parameters:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            timely = self._wake.wait(PERIOD)
+            timely = self._wake.wait(self._period)
             self._wake.clear()
             while self._jobs and not self._stopping.is_set():
                 self._try(self._jobs.popleft())

@@ -1,0 +1,87 @@
+"""Parameters of real rospy and rclpy programs, shared by rules through the real daemon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.ros2 import ros2_environment, ros2_python
+from tests.support.wait import until
+
+PROGRAM = Path(__file__).parents[1] / "support" / "ros2_parameters.py"
+RULES = [
+    {"ros1": "/robot", "node": "/ns/robot_parameters", "owner": "ros1"},
+    {"ros1": "/nav/controller", "node": "/controller_server", "owner": "ros2"},
+]
+EVENT = "rcl_interfaces/ParameterEvent"
+
+
+def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
+    deployment.master.start()
+    deployment.configure(routing={"parameters": RULES})
+    ros1 = deployment.ros1()
+    ros1.ask("set_param", name="/robot", value={"speed": 1.5, "name": "r1", "limits": {"turn": 2}, "ranges": [1, 2.5]})
+    ros2 = Peer(PROGRAM, ros2_python(), ros2_environment(), "controller_server")
+    deployment._open.append(ros2)
+    ros2.ask("declare", parameters={"FollowPath.speed": 0.5, "mode": "slow", "tries": 3, "weights": [1.0, 2.0]})
+    deployment.run()
+
+    _ros1s_are_a_nodes(ros1, ros2)
+    _a_nodes_are_in_ros1(ros1, ros2)
+    parameters = {one["ros1"]: one["shared"] for one in deployment.worker("ros1")["parameters"]}
+    assert parameters["/robot"] == 5
+    assert parameters["/nav/controller"] >= 4
+    # nobody on ROS 1 is bothered with the services that carry them
+    assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
+    assert deployment.stop_daemon() == 0
+    assert ros1.ask("get_param", name="/nav/controller")["value"] in (None, {}, {"FollowPath": {}})
+    assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
+
+
+def _ros1s_are_a_nodes(ros1: Peer, ros2: Peer) -> None:
+    """ROS 1 owns them: a ROS 2 program finds a node, reads, sets and hears of changes."""
+    node = "/ns/robot_parameters"
+    names = ["speed", "name", "limits.turn", "ranges"]
+    assert ros2.ask("get_of", node=node, names=names)["values"] == [1.5, "r1", 2, [1.0, 2.5]]
+    assert sorted(ros2.ask("list_of", node=node)["names"]) == sorted(names)
+    until(lambda: node in ros2.ask("nodes")["names"], "the node is on the ROS 2 graph", 30)
+    assert ros2.ask("set_of", node=node, parameters={"speed": 2.5, "limits": 1})["reasons"] == [
+        "",
+        "/robot/limits is a namespace in ROS 1",
+    ]
+    assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
+    heard = ros2.subscribe("/parameter_events", EVENT, depth=1000)
+
+    def told() -> bool:
+        value = ros1.ask("get_param", name="/robot/limits/turn")["value"] + 1
+        ros1.ask("set_param", name="/robot/limits/turn", value=value)
+        events = ros2.wait(heard, 1, 0.5)
+        return any(_changed(event, node, "limits.turn") for event in events)
+
+    until(told, "a change is an event", 30)
+    ros1.ask("set_param", name="/robot/extra", value="new")
+    assert ros2.ask("get_of", node=node, names=["extra"])["values"] == ["new"]
+
+
+def _changed(event: dict[str, Any], node: str, name: str) -> bool:
+    return event["node"] == node and any(one["name"] == name for one in event["changed_parameters"])
+
+
+def _a_nodes_are_in_ros1(ros1: Peer, ros2: Peer) -> None:
+    """A ROS 2 node owns them: rospy reads and sets them; the node may refuse, and changes its own."""
+
+    def in_ros1(name: str) -> Any:
+        return ros1.ask("get_param", name=f"/nav/controller/{name}")["value"]
+
+    until(lambda: in_ros1("FollowPath/speed") == 0.5, "the node's parameters are in ROS 1", 30)
+    assert (in_ros1("mode"), in_ros1("tries"), in_ros1("weights")) == ("slow", 3, [1.0, 2.0])
+    ros1.ask("set_param", name="/nav/controller/FollowPath/speed", value=2)  # as `rosparam set` spells 2.0
+    until(lambda: ros2.ask("own", name="FollowPath.speed")["value"] == 2.0, "the node has ROS 1's value", 30)
+    ros2.ask("refuse", names=["mode"])
+    ros1.ask("set_param", name="/nav/controller/mode", value="fast")
+    until(lambda: in_ros1("mode") == "slow", "what the node refuses is put back", 30)
+    ros2.ask("refuse", names=[])
+    assert ros2.ask("change", name="tries", value=9)["successful"]
+    until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
