@@ -25,6 +25,7 @@ import genpy.message
 import rosgraph
 import roslib.message
 import rospy
+from ros1_actions import Actions
 
 
 def to_plain(value):
@@ -128,6 +129,9 @@ class Serving:
             self.ready.wait_for(lambda: len(self.requests) >= count, seconds)
             return list(self.requests)
 
+    def release(self):
+        self.released.set()
+
     def unregister(self):
         self.released.set()
         self.service.shutdown("end of the test")
@@ -180,6 +184,7 @@ class Peer:
     def __init__(self):
         self.endpoints, self.countings, self.proxies = {}, {}, {}
         self.next_id = 0
+        self.actions = Actions(fill, to_plain)
 
     def add(self, endpoint):
         self.next_id += 1
@@ -231,7 +236,7 @@ class Peer:
         return self.add(Serving(service, roslib.message.get_service_class(type), reply or {}, error, held))
 
     def do_release(self, id, **_):
-        self.endpoints[id].released.set()
+        self.endpoints[id].release()
         return {}
 
     def do_requests(self, id, count=1, seconds=20.0, **_):
@@ -248,6 +253,22 @@ class Peer:
 
     def do_result(self, id, seconds=20.0, **_):
         return self.endpoints[id].result(seconds)
+
+    def do_act(self, **params):
+        return self.add(self.actions.act(params))
+
+    def do_goals(self, id, count=1, seconds=20.0, **_):
+        return {"goals": self.endpoints[id].wait(count, seconds)}
+
+    def do_send_goal(self, **params):
+        return self.add(self.actions.send_goal(params))
+
+    def do_goal(self, id, until=None, seconds=20.0, **_):
+        return self.endpoints[id].wait(until or {}, seconds)
+
+    def do_cancel(self, id, **_):
+        self.endpoints[id].cancel()
+        return {}
 
     def do_await_service(self, service, seconds=20.0, **_):
         rospy.wait_for_service(service, seconds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -94,6 +95,7 @@ class ServedAction:
     def _withdraw(self, part: str, call: Call) -> None:
         if self._calls.get(part) is call:
             del self._calls[part]
+            self._states = b""
             self._shut(GONE)
 
     # -- ROS 1 ---------------------------------------------------------------------------------------------------------
@@ -163,7 +165,8 @@ class ServedAction:
         goal, body = wire.read_action_goal(payload)
         schema = self._types.goal_body
         if self._network.check_frames and names_frames(schema):
-            body = without_slashes(body, frames_in(schema, body))
+            with contextlib.suppress(ConversionError):  # the call will say so, and end the goal
+                body = without_slashes(body, frames_in(schema, body))
         if self._server is not None:
             self._server.goal(goal, body)
 

@@ -1,0 +1,137 @@
+"""Actions of the rospy program `tests.support.ros1_peer`; see `tests.support.peer` for the commands.
+
+Runs on the system's Python alone. A goal's ``status`` and ``cancel`` are told as ROS 2 would: see docs/actions.md.
+"""
+# ruff: noqa: ANN003, ANN202, ANN204  # it runs without Midspan
+
+import threading
+
+import actionlib
+import roslib.message
+from actionlib.action_client import CommState
+from actionlib_msgs.msg import GoalStatus
+from rospy import Duration
+
+STATUSES = {
+    GoalStatus.SUCCEEDED: 4, GoalStatus.PREEMPTED: 5, GoalStatus.RECALLED: 5, GoalStatus.ABORTED: 6, GoalStatus.LOST: 6,
+}  # fmt: skip
+
+
+def part(type_, name):
+    """One of an action's message classes."""
+    return roslib.message.get_message_class(type_ + name)
+
+
+class Acting:
+    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+
+    def __init__(self, params, fill, plain):
+        self.fill, self.plain, self.type = fill, plain, params["type"]
+        self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
+        self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
+        self.goals, self.handles, self.arrived = [], [], threading.Condition()
+        action = part(self.type, "Action")
+        self.server = actionlib.ActionServer(params["action"], action, self.on_goal, self.on_cancel, auto_start=False)
+        self.server.start()
+
+    def on_goal(self, handle):
+        with self.arrived:
+            self.goals.append(self.plain(handle.get_goal()))
+            self.handles.append(handle)
+            self.arrived.notify_all()
+        if self.outcome == "reject":
+            handle.set_rejected()
+            return
+        handle.set_accepted()
+        for fields in self.feedback:
+            handle.publish_feedback(self.fill(part(self.type, "Feedback")(), fields))
+        if not self.held:
+            self.end(handle)
+
+    def on_cancel(self, handle):
+        if not self.keeps:
+            handle.set_canceled(self.filled())
+
+    def end(self, handle):
+        (handle.set_aborted if self.outcome == "abort" else handle.set_succeeded)(self.filled())
+
+    def filled(self):
+        return self.fill(part(self.type, "Result")(), self.result)
+
+    def wait(self, count, seconds):
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.goals) >= count, seconds)
+            return list(self.goals)
+
+    def release(self):
+        self.held = False
+        for handle in self.handles:
+            if handle.get_goal_status().status in (GoalStatus.ACTIVE, GoalStatus.PREEMPTING):
+                self.end(handle)
+
+    def unregister(self):
+        self.release()
+        self.server.stop()
+
+
+class Goal:
+    """A goal of an action client, and what it heard of it."""
+
+    def __init__(self, client, goal, plain):
+        self.plain, self.news, self.handle = plain, threading.Condition(), None
+        self.state = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
+        self.handle = client.send_goal(goal, self.changed, self.heard)
+
+    def tell(self, **news):
+        with self.news:
+            self.state.update(news)
+            self.news.notify_all()
+
+    def heard(self, _handle, feedback):
+        self.tell(feedback=[*self.state["feedback"], self.plain(feedback)])
+
+    def changed(self, handle):
+        state, status = handle.get_comm_state(), handle.get_goal_status()
+        if state in (CommState.RECALLING, CommState.PREEMPTING):
+            self.tell(cancel=[0, 1])
+        if state == CommState.DONE:
+            result = handle.get_result()
+            known = None if result is None else self.plain(result)
+            self.tell(status=STATUSES.get(status, 0), accepted=status != GoalStatus.REJECTED, result=known)
+        elif state in (CommState.PENDING, CommState.ACTIVE) and status != GoalStatus.REJECTED:
+            self.tell(accepted=True)
+
+    def cancel(self):
+        self.handle.cancel()
+
+    def wait(self, until, seconds):
+        """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""
+
+        def there():
+            state = {**self.state, "feedback": len(self.state["feedback"])}
+            return all(state[k] >= v if k == "feedback" else state[k] == v for k, v in until.items())
+
+        with self.news:
+            self.news.wait_for(there, seconds)
+            return dict(self.state)
+
+    def unregister(self):
+        """Its client stays."""
+
+
+class Actions:
+    """The commands; a part of the peer."""
+
+    def __init__(self, fill, plain):
+        self.fill, self.plain, self.clients = fill, plain, {}
+
+    def act(self, params):
+        return Acting(params, self.fill, self.plain)
+
+    def send_goal(self, params):
+        key = params["action"], params["type"]
+        if key not in self.clients:
+            self.clients[key] = actionlib.ActionClient(key[0], part(key[1], "Action"))
+        client = self.clients[key]
+        assert client.wait_for_server(Duration(params.get("seconds", 20.0))), f"no server of {key[0]}"
+        return Goal(client, self.fill(part(key[1], "Goal")(), params.get("goal") or {}), self.plain)
