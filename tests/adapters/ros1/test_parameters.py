@@ -212,7 +212,9 @@ def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub
     )
     master.call("setParam", "/own_one", 3)
     client = Client(hubs[1], "/ns/own_node")
-    assert {e.node for e in hubs[1].graph.servers("/ns/own_node/get_parameters")}
+    until(
+        lambda: ("own_node", "/ns") in {(n.node, n.namespace) for n in hubs[1].graph.nodes()}, "the node is there", 20
+    )
     assert client.get("speed", "frames.base", "one", "nothing") == [1.5, "base_link", 3, None]
     listed = client.call("list_parameters", prefixes=[], depth=0)["result"]
     assert (listed["names"], listed["prefixes"]) == (["deep.x", "frames.base", "one", "speed"], ["deep", "frames"])
