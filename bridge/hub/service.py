@@ -31,6 +31,15 @@ from bridge.hub.receiving import keep_thread_state
 _log = logging.getLogger(__name__)
 
 LEFT = "the server of {name} left before it answered"
+_CLOSED = "the call of {name} was ended: its client was closed"
+_REFUSED = "; or a door between the machines refuses this call, see 'midspan explain {name}'"
+_AT_ONCE = 0.2
+"""Seconds within which a query that no server took has ended; a longer one was with a server."""
+
+_SETTLING = 1.0
+"""Seconds from a server's coming in which zenoh's routers may not have the way to it yet, though they tell of it."""
+
+_AGAIN = 0.02
 _NO_SERVER = "no server of {name} is on the hub"
 _FOR_EVER = 1e9
 """Seconds after which zenoh ends a query, ten by default: no call has a limit of ours."""
@@ -218,6 +227,20 @@ class HubServer:
             abandon()
 
 
+class _Asking:
+    """One call that waits for its reply."""
+
+    __slots__ = ("attached", "done", "number", "request", "sent", "token")
+
+    def __init__(self, number: int, request: bytes, attached: bytes, done: Done) -> None:
+        self.number = number
+        self.request = request
+        self.attached = attached
+        self.done = done
+        self.token = zenoh.CancellationToken()
+        self.sent = 0.0
+
+
 class HubClient:
     """Calls one service on the hub; made by `bridge.hub.session.Hub.client`. Safe to use from any thread.
 
@@ -244,9 +267,10 @@ class HubClient:
         self._changed, self._on_close = changed, on_close
         self._lock = Lock()
         self._number = 0
-        self._waiting: dict[int, Done] = {}
-        self._closed = False
-        self._querier = session.declare_querier(
+        self._waiting: dict[int, _Asking] = {}
+        self._again: list[_Asking] = []
+        self._since = time.monotonic()
+        self._querier: zenoh.Querier | None = session.declare_querier(
             key,
             target=zenoh.QueryTarget.ALL_COMPLETE,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -263,7 +287,11 @@ class HubClient:
     @property
     def ready(self) -> bool:
         """Whether there is a server to call."""
-        return not self._closed and _matching(self._querier.matching_status)
+        querier = self._querier
+        try:
+            return querier is not None and _matching(querier.matching_status)
+        except (zenoh.ZError, RuntimeError):  # it is being closed
+            return False
 
     def call(self, request: bytes, done: Done) -> Abandon:
         """Begin a call with a CDR request; see `bridge.hub.call.Call`. Of several servers' replies the first counts.
@@ -278,34 +306,42 @@ class HubClient:
             return _nothing
         with self._lock:
             self._number += 1
-            number = self._number
-            self._waiting[number] = done
-        attached = attachment.pack(number, time.time_ns(), self.gid)
-        token = zenoh.CancellationToken()
-        handler = zenoh.handlers.Callback(partial(self._came, number), partial(self._over, number), indirect=False)
+            attached = attachment.pack(self._number, time.time_ns(), self.gid)
+            asking = self._waiting[self._number] = _Asking(self._number, request, attached, done)
+        self._ask(asking)
+        return partial(self._abandon, asking)
+
+    def _ask(self, asking: _Asking) -> None:
+        querier = self._querier
+        if querier is None:
+            self._end(asking.number, CallError(_CLOSED.format(name=self.name)))
+            return
+        over = partial(self._over, asking.number)
+        handler = zenoh.handlers.Callback(partial(self._came, asking.number), over, indirect=False)
+        asking.sent = time.monotonic()
         try:
-            self._querier.get(handler, payload=request, attachment=attached, cancellation_token=token)
-        except zenoh.ZError as err:
-            self._end(number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
+            querier.get(handler, payload=asking.request, attachment=asking.attached, cancellation_token=asking.token)
+        except (zenoh.ZError, RuntimeError) as err:  # it is being closed
+            self._end(asking.number, CallError(f"{self.name} cannot be called: {zenoh_reason(err)}"))
         if not self.ready:  # zenoh may never end a query that finds nobody
-            self._over(number)
-        return partial(self._abandon, number, token, attached)
+            over()
 
     def close(self) -> None:
         """End every call that is under way with an error, and leave the graph. Safe to call twice."""
         with self._lock:
-            closed, self._closed = self._closed, True
-        if closed:
+            querier, self._querier = self._querier, None
+        if querier is None:
             return
+        self._end_all(CallError(_CLOSED.format(name=self.name)))
         self._withdraw()
-        self._end_all(CallError(f"the call of {self.name} was ended: its client was closed"))
         self._listener.undeclare()  # type: ignore[no-untyped-call]
-        self._querier.undeclare()  # type: ignore[no-untyped-call]
+        _undeclare(querier)
         self._on_close(self)
 
     def _match_changed(self, status: object) -> None:
         """The first server came, or the last one went; runs on a thread of zenoh."""
         keep_thread_state()
+        self._since = time.monotonic()
         if not _matching(status):
             self._end_all(CallError(LEFT.format(name=self.name)))
         if self._changed is not None:
@@ -325,28 +361,55 @@ class HubClient:
             self._end(number, reply.ok.payload.to_bytes())
 
     def _over(self, number: int) -> None:
-        """No reply will come any more."""
-        self._end(number, CallError(LEFT.format(name=self.name)))
+        """No reply will come any more; runs on a thread of zenoh."""
+        keep_thread_state()
+        text, now = LEFT.format(name=self.name), time.monotonic()
+        with self._lock:
+            asking = self._waiting.get(number)
+        if asking is None:
+            return
+        if self.ready and now - asking.sent < _AT_ONCE:
+            if now - self._since < _SETTLING:
+                self._later(asking)
+                return
+            text += _REFUSED.format(name=self.name)
+        self._end(number, CallError(text))
+
+    def _later(self, asking: _Asking) -> None:
+        """Ask again soon: nobody was asked, as there was no way to the server yet."""
+        with self._lock:
+            self._again.append(asking)
+            first = len(self._again) == 1
+        if first:
+            self._errands.send(self._ask_again)
+
+    def _ask_again(self) -> None:
+        time.sleep(_AGAIN)
+        with self._lock:
+            again, self._again = self._again, []
+            again = [asking for asking in again if asking.number in self._waiting]
+        for asking in again:
+            self._ask(asking)
 
     def _end(self, number: int, result: bytes | CallError) -> None:
         with self._lock:
-            done = self._waiting.pop(number, None)
-        if done is not None:
-            done(result)
+            asking = self._waiting.pop(number, None)
+        if asking is not None:
+            asking.done(result)
 
     def _end_all(self, error: CallError) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, {}
-        for done in waiting.values():
-            done(error)
+        for asking in waiting.values():
+            asking.done(error)
 
-    def _abandon(self, number: int, token: zenoh.CancellationToken, attached: bytes) -> None:
+    def _abandon(self, asking: _Asking) -> None:
         with self._lock:
-            waited = self._waiting.pop(number, None) is not None
+            waited = self._waiting.pop(asking.number, None) is not None
         if waited:
             # both may wait: the one for a callback that runs, the other for a congested link
-            self._errands.send(token.cancel)
-            self._errands.send(partial(self._tell_leaving, attached))
+            self._errands.send(asking.token.cancel)
+            self._errands.send(partial(self._tell_leaving, asking.attached))
 
     def _tell_leaving(self, attached: bytes) -> None:
         self._session.put(
@@ -361,6 +424,20 @@ class HubClient:
 def abandon_key(key: str) -> str:
     """Where callers of a service tell that they wait no more; ``**`` does not match it."""
     return f"{key}/@abandon"
+
+
+def _undeclare(querier: zenoh.Querier) -> None:
+    """Undeclare what another thread may be using in this moment, for which the wheel raises `RuntimeError`.
+
+    Leaving it to the last reference would hold Python's lock, which a thread of zenoh may wait for.
+    """
+    for _ in range(1000):
+        try:
+            querier.undeclare()  # type: ignore[no-untyped-call]
+        except RuntimeError:
+            time.sleep(0.002)
+        else:
+            return
 
 
 def _matching(status: object) -> bool:

@@ -19,12 +19,13 @@ from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.routing import RoutingSection
 from bridge.hub.keyexpr import dds_type_name
 from bridge.hub.liveliness import ADMIN_SPACE, MIDSPAN_SPACE
+from bridge.hub.service import abandon_key
 
 ANYBODY = "*"
 """In the list of trusted names: every machine that may join."""
 
 _CACHES = "**/@adv/**"
-_SPACES = ("**", _CACHES, f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
+_SPACES = ("**", _CACHES, abandon_key("**"), f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
 """``**`` does not match what begins with ``@``."""
 
 _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
@@ -38,6 +39,9 @@ _QUESTIONS = (
     "*/**/$*::action::dds_::$*_GetResult_/RIHS01_$*",
 )
 """Services that change nothing."""
+
+_ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/RIHS01_$*" for middle in ("srv", "action"))
+"""A server may answer who calls it, also whether it takes a goal."""
 
 _TYPE_LETTERS = string.ascii_letters + string.digits + "_:"
 _NAME_LETTERS = string.ascii_letters + string.digits + "_-."
@@ -65,6 +69,7 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
         _rule("hear", "egress", _EVERYTHING, _SPACES),
         _rule("join", "ingress", _LISTENING, _SPACES),
         _rule("say", "ingress", ("put", "reply"), (*harmless, control)),
+        _rule("answer", "ingress", ("reply",), _ANSWERS),
         # who is asked for a latched command could answer on any key
         _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
         _rule("serve", "ingress", ("declare_queryable",), ("**", control)),

@@ -17,15 +17,13 @@ from bridge.hub.authority import Authority
 from bridge.hub.errors import HubError
 from bridge.hub.keyexpr import topic_key
 from bridge.hub.router import RouterWorker
-from bridge.hub.session import Hub, HubSettings
-from bridge.hub.settings import make_config, session_tree
+from bridge.hub.session import Hub
+from tests.hub.machines import FLOAT, Machines, make_keys
 from tests.hub.parts import HASH, LATCHED, TYPE, Heard, matched, see_each_other, talk
-from tests.support.hub import HubNetwork
 from tests.support.ports import free_port
 from tests.support.wait import until
 
-TWIST, POSE, FLOAT = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"
-ARM = {"rules": [{"topic": "/arm/drive", "type": FLOAT, "priority": "command"}]}
+TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
 GOAL = f"0/go/_action/send_goal/nav2_msgs::action::dds_::NavigateToPose_SendGoal_/{HASH}"
 CANCEL = f"0/go/_action/cancel_goal/action_msgs::srv::dds_::CancelGoal_/{HASH}"
 RESULT = f"0/go/_action/get_result/nav2_msgs::action::dds_::NavigateToPose_GetResult_/{HASH}"
@@ -75,63 +73,9 @@ HARMLESS = [
 ]
 
 
-class Machines:
-    """A robot whose door is open, and sessions of machines that come in by it."""
-
-    def __init__(self, folder: Path, **door: Any) -> None:
-        self.folder = folder
-        self.port = free_port()
-        self.network = HubNetwork(
-            run=False, door={"listen": [self.place], "keys": str(folder), "trusted": ["friend"], **door}, routing=ARM
-        )
-        self._sessions: list[zenoh.Session] = []
-
-    @property
-    def place(self) -> str:
-        return f"tls/127.0.0.1:{self.port}"
-
-    def zenoh_config(self, name: str) -> dict[str, Any]:
-        tls: dict[str, Any] = {"root_ca_certificate": str(self.folder / "ca.pem"), "enable_mtls": True}
-        if name:
-            tls |= {
-                "connect_certificate": str(self.folder / f"{name}.pem"),
-                "connect_private_key": str(self.folder / f"{name}.key"),
-            }
-        return {"mode": "client", "connect": {"timeout_ms": 1000}, "transport": {"link": {"tls": tls}}}
-
-    def hub(self, name: str) -> Hub:
-        return Hub.open(
-            HubSettings(router=self.place, zenoh=self.zenoh_config(name), node=name or "nobody", shared_memory=False)
-        )
-
-    def session(self, name: str | None, mode: str = "client") -> zenoh.Session:
-        """A plain zenoh session: of another machine, or with None of this one."""
-        place, over = (self.network.endpoint, {}) if name is None else (self.place, self.zenoh_config(name))
-        over["mode"] = mode
-        tree = session_tree(place, shared_memory=False, max_payload=1 << 20)
-        session = zenoh.open(make_config(tree, over))
-        self._sessions.append(session)
-        return session
-
-    def close(self) -> None:
-        for session in self._sessions:
-            session.close()
-        self._sessions.clear()
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("keys")
-    authority = Authority(folder)
-    authority.make()
-    for name in ("test", "friend", "guest"):
-        authority.issue(name, ["127.0.0.1"])
-    other = Authority(folder / "other")
-    other.make()
-    other.issue("friend")
-    for end in ("pem", "key"):
-        (folder / f"stranger.{end}").write_bytes((folder / "other" / f"friend.{end}").read_bytes())
-    return folder
+    return make_keys(tmp_path_factory.mktemp("keys"))
 
 
 @pytest.fixture(scope="module")
