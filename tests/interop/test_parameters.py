@@ -35,6 +35,7 @@ def test_parameters_are_shared_both_ways(deployment: Deployment) -> None:
     assert parameters["/nav/controller"] >= 4
     # nobody on ROS 1 is bothered with the services that carry them
     assert not [name for name in deployment.master.state()["services"] if "get_parameters" in name]
+    _a_reload_takes_up_other_rules(deployment, ros1, ros2)
     assert deployment.stop_daemon() == 0
     assert ros1.ask("get_param", name="/nav/controller")["value"] in (None, {}, {"FollowPath": {}})
     assert ros1.ask("get_param", name="/robot/speed")["value"] == 2.5
@@ -85,3 +86,11 @@ def _a_nodes_are_in_ros1(ros1: Peer, ros2: Peer) -> None:
     ros2.ask("refuse", names=[])
     assert ros2.ask("change", name="tries", value=9)["successful"]
     until(lambda: in_ros1("tries") == 9, "the node's own change is in ROS 1", 30)
+
+
+def _a_reload_takes_up_other_rules(deployment: Deployment, ros1: Peer, ros2: Peer) -> None:
+    deployment.configure(routing={"parameters": [{**RULES[0], "node": "/renamed"}, RULES[1]]})
+    deployment.hang_up()
+    assert ros2.ask("get_of", node="/renamed", names=["speed"])["values"] == [2.5]
+    until(lambda: "/ns/robot_parameters" not in ros2.ask("nodes")["names"], "the old node is gone", 30)
+    until(lambda: ros1.ask("get_param", name="/nav/controller/tries")["value"] == 9, "the other rule holds", 30)

@@ -264,3 +264,13 @@ def test_services_of_one_name_that_differ_are_no_pair(folders: Path):
     with pytest.raises(MessageTypeError, match="std_srvs/srv/SetBool_Request are no pair") as caught:
         Registry(folders=[folders]).service_ros1_to_hub("std_srvs/SetBool")
     assert "mapping rule" in caught.value.cure
+
+
+def test_a_package_of_idl_files_alone_will_do(tmp_path: Path, registry: Registry):
+    share = tmp_path / "share" / "std_srvs" / "srv"
+    share.mkdir(parents=True)
+    idl = (Path(sys.prefix) / "share" / "std_srvs" / "srv" / "SetBool.idl").read_text()
+    (share / "Other.idl").write_text(idl.replace("SetBool", "Other"))
+    found = Registry(prefixes=[tmp_path]).service_ros2("std_srvs/srv/Other")
+    assert found.definition == "bool data\n---\nbool success\nstring message\n"
+    assert registry.service_ros2("std_srvs/srv/SetBool").type_id != found.type_id
