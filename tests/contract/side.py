@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -84,12 +84,14 @@ class Side(ABC):
 class WorkerProcess:
     """``midspan worker SIDE --supervised`` under the test's control."""
 
-    def __init__(self, side: str, config: Config, env: Mapping[str, str]) -> None:
+    def __init__(
+        self, side: str, config: Config, env: Mapping[str, str], states: Collection[str] = ("running",)
+    ) -> None:
         self.process = Process(
             [sys.executable, "-m", "bridge.cli.main", "worker", side, "--supervised"], env, pipes=True
         )
         self._send({"config": json.loads(config.model_dump_json(by_alias=True))})
-        until(lambda: self.beat()["state"] == "running", f"{side} worker runs", 20, every=0)
+        until(lambda: self.beat()["state"] in states, f"{side} worker runs", 20, every=0)
 
     def _send(self, line: dict[str, Any]) -> None:
         pipe = self.process.popen.stdin

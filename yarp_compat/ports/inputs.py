@@ -11,6 +11,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from yarp_compat.ports.counters import Counters
+from yarp_compat.ports.dialects import dialect_of
 from yarp_compat.ports.message import Message, Payload
 from yarp_compat.ports.sending import send_all
 from yarp_compat.ports.stream import Stream
@@ -165,7 +166,7 @@ class Input:
 
         Later, with a request on its way, a C++ port would answer nobody else (``PortCore::sendHelper`` has the lock).
         """
-        self.profile = self.port.dialect_of(self.route.source)
+        self.profile = dialect_of(self.port.naming, self.route.source)
         self.sock.sendall(self._greeting)
 
     # -- messages -----------------------------------------------------------------------------------------------------

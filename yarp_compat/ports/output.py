@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from yarp_compat.ports.counters import Counters
 from yarp_compat.ports.replies import ReplyEnd, ReplyWatch
-from yarp_compat.ports.sending import send_some, sent
+from yarp_compat.ports.speaker import Speaker
 from yarp_compat.ports.waiting import Item, Waiting
-from yarp_compat.wire import carriers, http, message
-from yarp_compat.wire.carriers import Carrier, framed
+from yarp_compat.wire.carriers import Carrier
 from yarp_compat.wire.contact import Route
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.message import Buffer
@@ -24,23 +23,12 @@ if TYPE_CHECKING:
     from yarp_compat.ports.loop import Loop
     from yarp_compat.wire.profile import Profile
 
-_STEP = 0.2
-"""Seconds after which a thread that waits for a peer looks whether it still should."""
-_FAREWELL = 0.5
-"""Seconds that a peer has to acknowledge the end of a connection."""
-_CHUNK = 1 << 16
-_ACKNOWLEDGEMENTS: dict[Carrier, bytes | tuple[bytes, ...]] = {
-    carriers.TCP: message.ACK,
-    carriers.TEXT_ACK: b"<ACK>\r\n",
-}
-_FAREWELLS = {carriers.TEXT: b"q\r\n", carriers.TEXT_ACK: b"q\r\n", carriers.HTTP: http.STREAM_END}
-
 
 class Output:
     """One output connection on a stream of bytes.
 
     At any time at most one thread talks on the connection, its driver: a thread that writes, or the shared thread while
-    messages wait. The driver alone touches ``_current``, ``_due``, ``_came`` and the socket.
+    messages wait. The driver alone touches ``_current`` and what is on the wire.
 
     Args:
         sock: connected and introduced.
@@ -48,7 +36,8 @@ class Output:
         carrier: how it carries.
         loop: the shared thread.
         lost: told when the peer is gone.
-        limit: bytes of the queue, and of a reply.
+        limit: bytes of a reply.
+        room: bytes of the queue.
     """
 
     def __init__(
@@ -59,6 +48,7 @@ class Output:
         loop: Loop,
         lost: Callable[[Output], None],
         limit: int,
+        room: int,
     ) -> None:
         self.route = route
         self.carrier = carrier
@@ -71,16 +61,10 @@ class Output:
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._waiters = 0
-        self._pending = Waiting(limit, self.counters.dropped)
+        self._pending = Waiting(room, self.counters.dropped)
         self._driven = False
         self._current: Item | None = None
-        self._due = False  # an acknowledgement
-        self._came = b""
-        sock.setblocking(False)
-        self._sock = sock
-        # the same socket once more, with a time-out: reads and writes on it wait
-        self._patient = socket.socket(sock.family, sock.type, sock.proto, fileno=sock.fileno())
-        self._patient.settimeout(_STEP)
+        self._speaker = Speaker(sock, route, carrier, limit)
 
     # -- writing ------------------------------------------------------------------------------------------------------
 
@@ -104,9 +88,9 @@ class Output:
                 return item
             self._driven = True
         try:
-            if not self._due or self._take_ack(self._sock):
+            if not self._speaker.due or self._speaker.take_ack():
                 self._current = item
-                if self._send(item, self._sock) and not (wait and self._due):
+                if self._send(item) and not (wait and self._speaker.due):
                     self._settle(item)
                     return item
             elif wait:
@@ -152,46 +136,21 @@ class Output:
 
     def _advance(self, item: Item) -> bool:
         """Wait for a step of a message; whether that was its last."""
-        if item.buffers and ((self._due and not self._take_ack(self._patient)) or not self._send(item, self._patient)):
-            return False
-        return not self._due or self._take_ack(self._patient)
+        return (not item.buffers or self._push(item)) and self._acknowledged()
 
-    def _send(self, item: Item, sock: socket.socket) -> bool:
+    def _push(self, item: Item) -> bool:
+        """Wait for a step until a message is out; whether it is."""
+        return self._acknowledged() and self._send(item, patient=True)
+
+    def _acknowledged(self) -> bool:
+        """Wait for a step for the acknowledgement that is due; whether none is any more."""
+        return not self._speaker.due or self._speaker.take_ack(patient=True)
+
+    def _send(self, item: Item, *, patient: bool = False) -> bool:
         """Send what the socket takes of a message; whether that was all."""
-        buffers = item.buffers
-        try:
-            while buffers:
-                if len(buffers) == 1:
-                    count = sock.send(buffers[0])
-                    if count == len(buffers[0]):
-                        break
-                else:
-                    count = send_some(sock, buffers)
-                buffers = item.buffers = sent(buffers, count)
-        except (BlockingIOError, TimeoutError):
-            return False
-        item.buffers = []
-        self._due = self.carrier.ack
-        self.counters.sent += 1
-        return True
-
-    def _take_ack(self, sock: socket.socket) -> bool:
-        """Take the acknowledgement that is due; False where it has not come."""
-        while True:
-            if self._came and (end := _ack_end(self._came, self.carrier)):
-                self._came = self._came[end:]
-                self._due = False
-                return True
-            try:
-                came = sock.recv(_CHUNK)
-            except (BlockingIOError, TimeoutError):
-                return False
-            if came == message.ACK and not self._came and not self.carrier.text:
-                self._due = False  # as nearly always
-                return True
-            if not came:
-                raise ConnectionResetError(self._gone())
-            self._came += came
+        done = self._speaker.send(item, patient=patient)
+        self.counters.sent += done
+        return done
 
     def _wait_for(self, condition: Callable[[], bool], deadline: float | None) -> bool:
         """Wait for a condition, with the lock held; whether it came true."""
@@ -237,13 +196,13 @@ class Output:
         try:
             events = self._step()
         except OSError:
-            self._loop.ignore(self._sock)
+            self._loop.ignore(self._speaker.sock)
             self._fail()
             return
         if events and not self.closed:
-            self._loop.watch(self._sock, events, self._drive)
+            self._loop.watch(self._speaker.sock, events, self._drive)
             return
-        self._loop.ignore(self._sock)
+        self._loop.ignore(self._speaker.sock)
         if self.closed:
             self._dispose()
 
@@ -251,11 +210,11 @@ class Output:
         """What to wait for, or 0 where nothing is left, and the connection is free."""
         while not self.closed:
             item = self._current
-            if self._due and not self._take_ack(self._sock):
+            if self._speaker.due and not self._speaker.take_ack():
                 return selectors.EVENT_READ
-            if item is not None and item.buffers and not self._send(item, self._sock):
+            if item is not None and item.buffers and not self._send(item):
                 return selectors.EVENT_WRITE
-            if self._due:
+            if self._speaker.due:
                 continue
             with self._lock:
                 if item is not None:
@@ -270,7 +229,7 @@ class Output:
     @property
     def busy(self) -> bool:
         """Whether a message is still on its way out, or not acknowledged."""
-        return self._driven or self._due
+        return self._driven or self._speaker.due
 
     def wait_idle(self, deadline: float | None) -> bool:
         """Wait until nothing is on its way any more, acknowledgements included.
@@ -281,7 +240,7 @@ class Output:
         with self._lock:
             if not self._wait_for(lambda: not self._driven or self.closed, deadline):
                 return False
-            if self.closed or not self._due:
+            if self.closed or not self._speaker.due:
                 return True
             self._driven = True
         self._current = Item([], ours=True)
@@ -307,17 +266,20 @@ class Output:
             if self._driven:
                 self._wait_for(lambda: not self._driven or self.closed, deadline)
             if self.closed:
-                raise ConnectionResetError(self._gone())
+                raise ConnectionResetError(self._speaker.gone())
             if self._driven:
                 msg = f"{self.route.target} is still busy with another message"
                 raise TimeoutError(msg)
             self._driven = True
         item = self._current = Item(buffers, ours=True)
         try:
-            while (self._due and not self._take_ack(self._patient)) or not self._send(item, self._patient):
+            while not self._push(item):
                 self._check_time(deadline)
-            reply = self._reply(ReplyWatch(parse, self.carrier, self.profile, self._limit), deadline)
-            while self._due and not self._take_ack(self._patient):
+            watch = ReplyWatch(parse, self.carrier, self.profile, self._limit)
+            reply = self._speaker.reply(watch, lambda: self._check_time(deadline))
+            if reply is not None:
+                self.profile = watch.profile
+            while not self._acknowledged():
                 self._check_time(deadline)
         except BaseException:
             self._fail()
@@ -331,44 +293,10 @@ class Output:
 
     def _check_time(self, deadline: float | None) -> None:
         if self.closed:
-            raise ConnectionAbortedError(self._gone())
+            raise ConnectionAbortedError(self._speaker.gone())
         if deadline is not None and time.monotonic() > deadline:
             msg = f"no reply from {self.route.target} in time"
             raise TimeoutError(msg)
-
-    def _reply(self, watch: ReplyWatch, deadline: float | None) -> bytes | None:
-        """Wait for the reply; None where the acknowledgement comes without one."""
-        came: bytes | bytearray = self._came
-        acknowledgement = _ACKNOWLEDGEMENTS.get(self.carrier, ())
-        while not came.startswith(acknowledgement):
-            if end := watch.end(came):
-                break
-            if len(came) > self._limit + _CHUNK:
-                msg = f"a reply from {self.route.target} is larger than {self._limit} bytes"
-                raise WireError(msg)
-            try:
-                more = self._patient.recv(_CHUNK if len(came) < _CHUNK else 1 << 20)
-            except TimeoutError:
-                watch.pause()
-                self._check_time(deadline)
-                continue
-            if not more:
-                raise ConnectionResetError(self._gone())
-            if came:
-                self._check_time(deadline)
-                came = came if isinstance(came, bytearray) else bytearray(came)
-                came += more
-            else:
-                came = more
-        else:
-            self._came = bytes(came)
-            return None
-        self.profile = watch.profile
-        self._came = bytes(came[end:])
-        return bytes(came[:end])
-
-    def _gone(self) -> str:
-        return f"the connection from {self.route.source} to {self.route.target} is closed"
 
     # -- the end ------------------------------------------------------------------------------------------------------
 
@@ -379,14 +307,10 @@ class Output:
                 return
             self._driven = True
         try:
-            if self._due:
-                self._take_ack(self._sock)
-            elif not self._sock.recv(_CHUNK):
-                self._fail()
-                return
-        except BlockingIOError:
-            pass
+            there = self._speaker.look()
         except OSError:
+            there = False
+        if not there:
             self._fail()
             return
         self._settle(Item([], ours=False))
@@ -402,11 +326,11 @@ class Output:
             self._changed.notify_all()
         if free:
             with contextlib.suppress(OSError):
-                self._say_goodbye()
+                self._speaker.say_goodbye(patient=not self._loop.is_own_thread)
             self._dispose()
             return
         with contextlib.suppress(OSError):
-            self._sock.shutdown(socket.SHUT_RDWR)  # its driver wakes up, and closes it
+            self._speaker.shutdown()  # its driver wakes up, and closes it
 
     def abandon(self) -> None:
         """In a child process of fork: let go of the socket, and say nothing."""
@@ -415,22 +339,12 @@ class Output:
         self.closed = True
         self._dispose()
 
-    def _say_goodbye(self) -> None:
-        if self._due and not self._take_ack(self._sock):
-            return
-        self._sock.send(_FAREWELLS.get(self.carrier, message.QUIT))
-        if self.carrier.ack and not self._loop.is_own_thread:
-            end = time.monotonic() + _FAREWELL
-            while not self._take_ack(self._patient) and time.monotonic() < end:
-                pass
-
     def _dispose(self) -> None:
         """Close the socket; only its driver does that."""
         with self._lock:
             self.counters.dropped["lost"] += self._pending.clear()
             self._changed.notify_all()
-        self._patient.detach()
-        self._sock.close()
+        self._speaker.close()
 
     def _fail(self) -> None:
         """The peer is gone."""
@@ -442,17 +356,3 @@ class Output:
         self._dispose()
         if not told:
             self._lost(self)
-
-
-def _ack_end(came: bytes, carrier: Carrier) -> int:
-    """Where the acknowledgement ends that begins there; 0 where it is not whole."""
-    if carrier.text:
-        return came.find(b"\n") + 1
-    if len(came) < len(message.ACK):
-        return 0
-    length = framed(came)
-    if length is None or not 0 <= length <= _CHUNK:
-        msg = f"no acknowledgement: {came[:16]!r}"
-        raise ConnectionResetError(msg)
-    end = len(message.ACK) + length
-    return end if len(came) >= end else 0

@@ -10,25 +10,20 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from yarp_compat.naming.dialect import asked
 from yarp_compat.naming.naming import Naming
-from yarp_compat.ports import accepting, admin, commands, loop, process
+from yarp_compat.ports import accepting, admin, commands, connecting, loop, process
 from yarp_compat.ports.address import bound
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
 from yarp_compat.ports.counters import Counters
-from yarp_compat.ports.datagrams import DatagramOutput
-from yarp_compat.ports.dial import dial, say_farewell
 from yarp_compat.ports.inputs import Input
 from yarp_compat.ports.lines import from_line
 from yarp_compat.ports.listener import Listener
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.outgoing import Content, Outgoing
-from yarp_compat.ports.output import Output
 from yarp_compat.ports.replies import ReplyEnd
 from yarp_compat.ports.waiting import Item
 from yarp_compat.wire import carriers, message
 from yarp_compat.wire.binary import decode, encode
-from yarp_compat.wire.carriers import Carrier
 from yarp_compat.wire.command import PortCommand
 from yarp_compat.wire.contact import Contact, Route
 from yarp_compat.wire.errors import WireError
@@ -54,7 +49,7 @@ class PortCore:
         naming: the name server.
         rpc: an RPC client or server: it has one output at most.
         type_name: the type of what it writes or reads, as it announces it.
-        limit: bytes of the largest message or reply that is taken, and of each output's queue.
+        limit: bytes of the largest message or reply that is taken, and at most of each output's queue.
         host: where to listen; by default where the name server says the port is.
         number: its TCP port; 0: the name server chooses.
         profile: the dialect of Bottles made from text.
@@ -137,7 +132,7 @@ class PortCore:
         listener.close()
         self.connections.close()
         for output in self.connections.outputs:
-            self._drop_output(output)
+            connecting.drop_output(self, output)
         inputs = self.connections.inputs
         for connection in inputs:
             connection.close()
@@ -167,6 +162,11 @@ class PortCore:
     def resume(self) -> None:
         """Go on after :meth:`interrupt`."""
         self._interrupted = False
+
+    @property
+    def loop(self) -> loop.Loop | None:
+        """The thread that the port shares with others, None where it is not open."""
+        return self._loop
 
     @property
     def is_open(self) -> bool:
@@ -298,102 +298,15 @@ class PortCore:
         Returns:
             whether that was done, and YARP's words about it.
         """
-        place = Contact.parse(target)
-        try:
-            found = place if place.is_valid else self.naming.query(place.name)
-        except OSError as error:
-            _log.warning("port %s: %s", self.name, error)
-            found = None
-        if found is None or not found.is_valid:
-            return False, f"Do not know how to connect to {target}"
-        if not self.is_output:
-            return False, "Outputs not allowed"
-        name = found.name or found.uri
-        former = [o for o in self.connections.outputs if o.route.target == name]
-        if self.rpc and len(self.connections.outputs) > len(former):
-            return False, "RPC output already connected"
-        for output in former:
-            self._drop_output(output)
-        try:
-            carrier, qualifiers = carriers.parse(place.carrier or found.carrier or "tcp")
-            if qualifiers:
-                told = "port %s: of %s only what the peer is to do is done: messages leave as they are"
-                _log.warning(told, self.name, place.carrier)
-            self._connect(found, carrier, qualifiers, Route(self.name, name, carrier.name))
-        except (OSError, WireError) as error:
-            _log.warning("port %s cannot connect to %s: %s", self.name, target, error)
-            return False, f"Cannot connect to {target}"
-        return True, f"Added connection from {self.name} to {target}"
-
-    def _connect(self, contact: Contact, carrier: Carrier, qualifiers: str, route: Route) -> None:
-        if carrier is not carriers.LOCAL:
-            sock = dial(contact, carrier, self.name, qualifiers)
-            self._add(sock, route, carrier, None if carrier.text else self._dialect_at(contact))
-            return
-        there = process.find(contact)
-        if there is None:
-            msg = f"{route.target} is not a port of this process, which the carrier local is for"
-            raise ConnectionRefusedError(msg)
-        ours, theirs = socket.socketpair()
-        there.attach(theirs, Opening(carrier, self.name, qualifiers, 0))
-        self._add(ours, route, carrier, there.profile)
-
-    def _add(self, sock: socket.socket, route: Route, carrier: Carrier, profile: Profile | None) -> None:
-        shared = self._loop
-        if shared is None:
-            sock.close()
-            msg = f"port {self.name} is closed"
-            raise ConnectionAbortedError(msg)
-        output: AnyOutput
-        if carrier is carriers.UDP:
-            output = DatagramOutput(sock, route, self.connections.remove_output)
-        else:
-            output = Output(sock, route, carrier, shared, self.connections.remove_output, self.limit)
-        output.profile = profile
-        if not self.connections.add_output(output):
-            output.close()
-            msg = f"port {self.name} is closed, or has too many outputs"
-            raise ConnectionAbortedError(msg)
-
-    def dialect_of(self, name: str) -> Profile | None:
-        """What another port says of its dialect; takes a while, see :func:`yarp_compat.naming.dialect.asked`."""
-        try:
-            contact = self.naming.query(name)
-        except OSError:
-            return None
-        return self._dialect_at(contact) if contact is not None and contact.is_valid else None
-
-    def _dialect_at(self, contact: Contact) -> Profile | None:
-        there = process.find(contact)
-        return asked(contact) if there is None else there.profile
+        return connecting.add_output(self, target)
 
     def remove_output(self, name: str) -> tuple[bool, str]:
         """End the output connection to a port; whether there was one, and YARP's words."""
-        found = [o for o in self.connections.outputs if o.route.target == name]
-        for output in found:
-            self._drop_output(output)
-        if found:
-            return True, f"Removed connection from {self.name} to {name}"
-        return False, f"Could not find an outgoing connection to {name}"
+        return connecting.remove_output(self, name)
 
     def remove_input(self, name: str) -> tuple[bool, str]:
         """End the input connection from a port; whether there was one, and YARP's words."""
-        found = [i for i in self.connections.inputs if i.route.source == name]
-        for connection in found:
-            connection.close()
-            self.connections.remove_input(connection)
-        if found:
-            return True, f"Removing connection from {name} to {self.name}"
-        return False, f"Could not find an incoming connection from {name}"
-
-    def _drop_output(self, output: AnyOutput) -> None:
-        output.close()
-        self.connections.remove_output(output)
-        if output.carrier.connectionless:
-            with contextlib.suppress(OSError):
-                contact = self.naming.query(output.route.target)
-                if contact is not None:
-                    say_farewell(contact, self.name)
+        return connecting.remove_input(self, name)
 
     def _look(self) -> None:
         """On the shared thread, now and then: are the peers of idle outputs still there."""
@@ -441,7 +354,7 @@ class PortCore:
         self.ended(connection)
         route = Route(self.name, connection.route.source, connection.route.carrier)
         with contextlib.suppress(ConnectionAbortedError):
-            self._add(sock, route, connection.carrier, connection.profile)
+            connecting.take_output(self, sock, route, connection.carrier, connection.profile)
 
     def deliver(self, incoming: Message) -> None:
         """Give a message to the port's owner."""

@@ -7,6 +7,9 @@ from collections import Counter, deque
 from yarp_compat.wire import message
 from yarp_compat.wire.message import Buffer
 
+ITEM_BYTES = 192
+"""What a message costs in the queue besides its own bytes (measured: 169 in CPython 3.11)."""
+
 
 class Item:
     """A message on its way out."""
@@ -29,7 +32,7 @@ class Waiting:
     """A queue of bounded bytes; one message fits always.
 
     Args:
-        limit: bytes.
+        limit: bytes, with what each message costs besides its own.
         dropped: counts those that made room, by reason.
     """
 
@@ -47,7 +50,7 @@ class Waiting:
         if not strict:
             self._dropped["replaced"] += len(self._items)
             self.clear()
-        size = message.size(item.buffers)
+        size = _cost(item)
         while self._items and self._bytes + size > self._limit:
             self.next()
             self._dropped["full"] += 1
@@ -59,7 +62,7 @@ class Waiting:
         if not self._items:
             return None
         item = self._items.popleft()
-        self._bytes -= message.size(item.buffers)
+        self._bytes -= _cost(item)
         return item
 
     def clear(self) -> int:
@@ -68,3 +71,7 @@ class Waiting:
         self._items.clear()
         self._bytes = 0
         return count
+
+
+def _cost(item: Item) -> int:
+    return message.size(item.buffers) + ITEM_BYTES

@@ -5,12 +5,14 @@ from __future__ import annotations
 import socket
 import threading
 import time
+import tracemalloc
 from collections.abc import Iterator
 
 import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
+from yarp_compat.ports import connecting
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire import message
 from yarp_compat.wire.binary import decode, encode
@@ -107,6 +109,36 @@ def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
         heard.append(slow.read()[0])
         slow.acknowledge()
     assert heard == [0, *range(dropped + 1, 30)], "the oldest of those that waited went"
+
+
+def test_large_messages_do_not_make_the_queue_large(
+    make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A port that takes messages of a gigabyte keeps no gigabyte for each peer."""
+    monkeypatch.setattr(connecting, "QUEUE", 3 * BIG)
+    writer = make_port("/w", limit=1 << 30)
+    writer.add_output("tcp://slow")
+    for _ in range(10):
+        assert writer.write(bytes(BIG), strict=True) == 1
+    dropped = writer.connections.outputs[0].counters.dropped
+    assert dropped["full"] == 10 - 1 - 2, "one is on its way, and what each costs besides leaves room for two"
+    assert writer.write(bytes(4 * BIG), strict=True) == 1
+    assert dropped["full"] == 10 - 1, "one fits always, however large"
+
+
+def test_small_messages_count_with_what_they_cost(make_port: MakePort, slow: Slow) -> None:
+    limit = 1 << 20
+    writer = make_port("/w", limit=limit)
+    writer.add_output("tcp://slow")
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        for _ in range(30_000):
+            writer.write(b"x", strict=True)
+        assert tracemalloc.get_traced_memory()[0] - before < 2 * limit
+    finally:
+        tracemalloc.stop()
+    assert writer.connections.outputs[0].counters.dropped["full"] > 20_000
 
 
 @pytest.mark.parametrize("carrier", ["tcp", "fast_tcp"])

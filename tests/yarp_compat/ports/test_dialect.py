@@ -182,7 +182,7 @@ def test_replies_are_in_the_dialect_of_who_asks(make_port: MakePort, naming: Loc
 def test_who_cannot_be_asked_is_answered_all_the_same(
     make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch, name: bytes
 ) -> None:
-    monkeypatch.setattr("yarp_compat.ports.port.asked", lambda contact: asked(contact, timeout=0.1))
+    monkeypatch.setattr("yarp_compat.ports.dialects.asked", lambda contact: asked(contact, timeout=0.1))
     with socket.create_server(("127.0.0.1", 0)) as mute:
         naming.register("/client", *mute.getsockname())
         port = make_port("/server", lambda message: message.reply(encode(["yes"], Profile.YARP3)), rpc=True)

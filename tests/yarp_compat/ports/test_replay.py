@@ -178,7 +178,7 @@ def test_writer_takes_companions() -> None:
 @pytest.fixture
 def _asking_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     """The programs that were recorded do not ask others for their dialect; test_dialect tests that."""
-    monkeypatch.setattr("yarp_compat.ports.port.asked", lambda _contact: None)
+    monkeypatch.setattr("yarp_compat.ports.dialects.asked", lambda _contact: None)
 
 
 class Stage:

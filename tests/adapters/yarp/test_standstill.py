@@ -1,0 +1,224 @@
+"""Two daemons on one YARP network, of which one stands still for a while, as a machine does that is short of memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.adapters.yarp.conftest import Place
+from tests.contract.hubside import HubSide
+from tests.contract.side import WorkerProcess
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+from tests.support.yarp_programs import YarpProgram
+
+STRING, TWIST = "std_msgs/String", "geometry_msgs/Twist"
+COUNT = 20
+OLD = 9.0
+
+
+class Pair:
+    """Two workers, each on a hub; hubs may be one."""
+
+    def __init__(self, place: Place, stack: ExitStack, *, joined: bool) -> None:
+        self.far = [place.far]
+        hubs = [place.hubs, place.hubs if joined else stack.enter_context(QuickHub())]
+        if not joined:
+            hub = Hub.open(hubs[1].settings("far"))
+            stack.callback(hub.close)
+            self.far.append(HubSide(hub, Registry()))
+        self.workers: dict[str, WorkerProcess] = {}
+        for name, one in zip(("one", "two"), hubs, strict=True):
+            state = place.folder / name
+            config = place.config(name).model_copy(update={"state": state})
+            config = config.model_copy(update={"hub": config.hub.model_copy(update={"listen": one.endpoint})})
+            worker = WorkerProcess("yarp", config, dict(os.environ), ("running", "standby"))
+            stack.callback(self._end, worker)
+            self.workers[name] = worker
+        self.program: YarpProgram = place.program("/program")
+
+    @staticmethod
+    def _end(worker: WorkerProcess) -> None:
+        worker.process.signal(signal.SIGCONT)
+        worker.stop()
+
+    def states(self) -> dict[str, str]:
+        """What each worker that answers says of itself."""
+        answers = [a for far in self.far for a in far.hub.ask("status", {}, timeout=0.5)]
+        return {a.daemon: a.value["state"] for a in answers if isinstance(a.value, dict) and a.worker == "yarp"}
+
+    def active(self) -> str:
+        """The one that carries; with two hubs the first."""
+
+        def found() -> list[str]:
+            return sorted(name for name, state in self.states().items() if state == "running")
+
+        return until(found, "a worker carries", 20)[0]
+
+    @contextmanager
+    def standing_still(self, name: str, seconds: float) -> Iterator[None]:
+        """A worker stands still for so long, or as long as the body takes."""
+        process = self.workers[name].process
+        began = time.monotonic()
+        process.signal(signal.SIGSTOP)
+        until(lambda: _stands_still(process.pid), "it stands still")  # some threads run on for a moment
+        yield
+        time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
+        process.signal(signal.SIGCONT)
+
+
+def _stands_still(pid: int) -> bool:
+    """Whether all threads of a process are stopped."""
+    stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
+    return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    """Ends what the test began."""
+    with ExitStack() as made:
+        yield made
+
+
+class Talk:
+    """Numbered lines between a YARP program and programs of the hubs, each of which must come once."""
+
+    def __init__(self, pair: Pair) -> None:
+        self._ends: list[Any] = [pair.program, *pair.far]
+        self._out = [end.advertise("/both", STRING) for end in self._ends]
+        self._heard = [end.subscribe("/both", STRING) for end in self._ends]
+        self._probes = 0
+
+    def _texts(self, end: int) -> list[str]:
+        return [m["data"] for m in self._ends[end].wait(self._heard[end], 0)]
+
+    def until_open(self) -> None:
+        """Until a probe of the YARP program reaches every hub, and one of each hub the YARP program."""
+
+        def through() -> bool:
+            self._probes += 1
+            for number, end in enumerate(self._ends):
+                end.publish(self._out[number], {"data": f"probe {number} {mark} {self._probes}"})
+            at_program, hubs = self._texts(0), range(1, len(self._ends))
+            return all(
+                any(t.startswith(f"probe {number} {mark} ") for t in at_program)
+                and any(t.startswith(f"probe 0 {mark} ") for t in self._texts(number))
+                for number in hubs
+            )
+
+        mark = self._probes
+        until(through, "probes cross", 30, every=0.1)
+
+    def say(self, what: str) -> None:
+        """Say some lines at all ends; each arrives at the other side."""
+        for number in range(COUNT):
+            for end in range(len(self._ends)):
+                self._ends[end].publish(self._out[end], {"data": f"{what} {end} {number}"})
+        hubs = range(1, len(self._ends))
+        wanted = {0: {f"{what} {hub} {n}" for hub in hubs for n in range(COUNT)}}
+        wanted |= {hub: {f"{what} 0 {n}" for n in range(COUNT)} for hub in hubs}
+        for end, lines in wanted.items():
+            until(lambda e=end, w=lines: w <= set(self._texts(e)), f"{what} is heard at {end}", 30)
+
+    def twice(self) -> dict[str, int]:
+        """What any end heard more than once, once nothing more comes."""
+        before: list[int] = []
+
+        def quiet() -> bool:
+            nonlocal before
+            now = [len(self._texts(end)) for end in range(len(self._ends))]
+            same, before = now == before, now
+            return same
+
+        until(quiet, "nothing more comes", 20, every=0.5)
+        counts = [Counter(self._texts(end)) for end in range(len(self._ends))]
+        return {text: count for counted in counts for text, count in counted.items() if count > 1}
+
+
+class Commands:
+    """Speeds from a hub to the YARP program and the other way."""
+
+    def __init__(self, pair: Pair) -> None:
+        far, program = pair.far[0], pair.program
+        ways = ((far, program, "/base/cmd_vel"), (program, far, "/joy/cmd_vel"))
+        self._ways = [(a, a.advertise(topic, TWIST), b, b.subscribe(topic, TWIST)) for a, b, topic in ways]
+
+    def send(self, speed: float) -> None:
+        """Command ten times, both ways."""
+        none = {"x": 0.0, "y": 0.0, "z": 0.0}
+        for source, out, _, _ in self._ways:
+            for _ in range(10):
+                source.publish(out, {"linear": {**none, "x": speed}, "angular": none})
+
+    def until_open(self, speed: float) -> None:
+        """Command until it arrives, both ways."""
+
+        def through() -> bool:
+            self.send(speed)
+            return all(speed in self._speeds(sink, heard) for _, _, sink, heard in self._ways)
+
+        until(through, f"commands of {speed} cross", 30, every=0.1)
+
+    def heard(self) -> set[float]:
+        """All speeds that came."""
+        return {speed for _, _, sink, heard in self._ways for speed in self._speeds(sink, heard)}
+
+    @staticmethod
+    def _speeds(sink: Any, heard: int) -> list[float]:
+        return [m["linear"]["x"] for m in sink.wait(heard, 0)]
+
+
+def test_two_seconds_on_one_hub_hold_back_no_command_and_bring_nothing_twice(place: Place, stack: ExitStack) -> None:
+    pair = Pair(place, stack, joined=True)
+    talk, commands = Talk(pair), Commands(pair)
+    talk.until_open()
+    commands.until_open(0.1)
+    talk.say("before")
+    with pair.standing_still(pair.active(), 2.0):
+        commands.send(OLD)
+    talk.until_open()
+    commands.until_open(0.2)
+    talk.say("after")
+    until(lambda: len(pair.states()) == 2, "both answer", 20)
+    commands.until_open(0.3)
+    assert not talk.twice()
+    assert OLD not in commands.heard()
+
+
+def test_two_seconds_on_hubs_of_their_own_bring_nothing_twice(place: Place, stack: ExitStack) -> None:
+    pair = Pair(place, stack, joined=False)
+    talk = Talk(pair)
+    talk.until_open()
+    talk.say("before")
+    with pair.standing_still("one", 2.0):
+        pass
+    talk.until_open()
+    talk.say("after")
+    assert not talk.twice()
+
+
+def test_after_ten_seconds_another_carries_and_nothing_comes_twice(place: Place, stack: ExitStack) -> None:
+    pair = Pair(place, stack, joined=True)
+    talk = Talk(pair)
+    talk.until_open()
+    talk.say("before")
+    first = pair.active()
+    (second,) = set(pair.workers) - {first}
+    with pair.standing_still(first, 10.0):
+        until(lambda: pair.states().get(second) == "running", "the other takes over", 9)
+        talk.until_open()
+        talk.say("meanwhile")
+    until(lambda: pair.states() == {first: "standby", second: "running"}, "who stood still stands by", 20)
+    talk.until_open()
+    talk.say("after")
+    assert not talk.twice()
