@@ -215,6 +215,25 @@ def test_a_late_result_counts_where_nobody_has_asked(world):
     assert result(world.ask(1)) == (Ros2State.SUCCEEDED, b"late")
 
 
+def test_the_first_result_counts(world):
+    world.send(1)
+    world.ends(1, Ros1State.SUCCEEDED, b"first")
+    world.ends(1, Ros1State.ABORTED, b"second")
+    assert result(world.ask(1)) == (Ros2State.SUCCEEDED, b"first")
+
+
+def test_a_goal_never_goes_back(world):
+    world.send(1)
+    for state, seen in (
+        (Ros1State.ACTIVE, Ros2State.EXECUTING),
+        (Ros1State.PENDING, Ros2State.EXECUTING),
+        (Ros1State.PREEMPTING, Ros2State.CANCELING),
+        (Ros1State.ACTIVE, Ros2State.CANCELING),
+    ):
+        world.says((1, state))
+        assert world.states[-1] == {uuid(1): seen}
+
+
 def test_a_uuid_is_good_for_one_goal(world):
     world.send(1)
     assert accepted(world.send(1)) is False

@@ -173,6 +173,16 @@ def test_an_id_that_is_in_the_list_is_ignored(world):
     assert len(world.lists[-1]) == 1
 
 
+def test_an_id_that_is_being_cancelled_is_ignored_too(world):
+    uuid = world.goal()
+    world.server.cancel(GoalId(ZERO, "g"))
+    assert world.goal() is None
+    assert world.results == []
+    world.answer(uuid)
+    world.ends(uuid, Ros2State.CANCELED)
+    assert world.results == [("g", Ros1State.RECALLED, b"result", "")]
+
+
 def test_a_client_that_uses_an_id_again_later_has_a_new_goal(world):
     first = world.running()
     world.ends(first, Ros2State.SUCCEEDED)
@@ -276,6 +286,7 @@ def test_a_server_that_is_gone_ends_all_goals_once(world):
     a, b = world.running("a"), world.goal("b")
     world.ends(a, Ros2State.SUCCEEDED)
     c = world.running("c")
+    world.says({c: Ros2State.EXECUTING, bytes(range(16)): Ros2State.EXECUTING})
     world.server.close("the action server is gone")
     assert [(i, s) for i, s, _, _ in world.results] == [
         ("a", Ros1State.SUCCEEDED), ("b", Ros1State.ABORTED), ("c", Ros1State.ABORTED)
