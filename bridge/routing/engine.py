@@ -240,7 +240,7 @@ class Engine:
             self._inward.follow(entry, endpoints, verdicts)
             if self.edge.services:
                 inward.follow(entry, endpoints, verdicts)
-        leaving = ExitGate(rules, self.edge, self._daemon, self.hub.graph.endpoints())
+        leaving = ExitGate(rules, self.edge.side, self._daemon, self.hub.graph.endpoints())
         self._outward.follow(leaving, verdicts, outcome)
         if self.edge.services:
             outward.follow(leaving, endpoints, verdicts, outcome)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Literal
 
-from bridge.adapters.base import Edge, Endpoint, Kind
+from bridge.adapters.base import Endpoint, Kind
 from bridge.config.sections.routing import QosOverride
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.liveliness import EndpointKind
@@ -45,13 +45,13 @@ class ExitGate:
 
     Args:
         rules: the configuration's.
-        edge: the side.
+        side: the edge's.
         daemon: this daemon's name: the rules of another one let in what comes by it.
         endpoints: the hub's graph.
     """
 
-    def __init__(self, rules: RuleSet, edge: Edge, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
-        self._rules, self._edge, self._daemon = rules, edge, daemon
+    def __init__(self, rules: RuleSet, side: str, daemon: str, endpoints: Iterable[HubEndpoint]) -> None:
+        self._rules, self._side, self._daemon = rules, side, daemon
         offered = (e for e in endpoints if e.kind in (EndpointKind.PUBLISHER, EndpointKind.SERVER))
         self._actions = Actions((e.topic, e.type_name) for e in offered)
 
@@ -60,11 +60,10 @@ class ExitGate:
         subject = self._actions.subject(kind, name, type_name)
         if subject.unknown:
             return Decision(allowed=False, why=_UNKNOWN, name=name, settled=True)
-        to = self._edge.side
-        if subject.part and not self._edge.services:
-            return Decision(allowed=False, why=f"actions do not cross to {to}", name=name, settled=True)
         side, elsewhere = ("zenoh", False) if origin is None else (origin.side, origin.daemon != self._daemon)
-        decision = self._rules.leave(side, to, subject.name, subject.type_name, subject.kind, elsewhere=elsewhere)
+        decision = self._rules.leave(
+            side, self._side, subject.name, subject.type_name, subject.kind, elsewhere=elsewhere
+        )
         return _whole(decision, subject)
 
 

@@ -12,13 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 _MIDDLE = "/_action/"
-_ENDINGS = {
-    "send_goal": "_SendGoal",
-    "get_result": "_GetResult",
-    "feedback": "_FeedbackMessage",
-    "cancel_goal": "",
-    "status": "",
-}
+_ENDINGS = {"send_goal": "_SendGoal", "get_result": "_GetResult", "feedback": "_FeedbackMessage"}
+_COMMON = {"cancel_goal": "action_msgs/srv/CancelGoal", "status": "action_msgs/msg/GoalStatusArray"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +60,12 @@ class Actions:
     def subject(self, kind: Literal["topic", "service"], name: str, type_name: str) -> Subject:
         """What the rules are asked about for a topic or a service."""
         action, part = split(name)
-        if not part:
-            return Subject(kind, name, type_name)
+        if not part or not (_COMMON.get(part) == type_name or type_name.endswith(_ENDINGS.get(part, "/"))):
+            return Subject(kind, name, type_name)  # also what is only called like a part of an action
         return Subject("action", action, self._types.get(action, ""), part)
 
 
 def split(name: str) -> tuple[str, str]:
     """An action's name and the part that this topic or service is of it; "" both where it is none."""
     action, middle, part = name.rpartition(_MIDDLE)
-    return (action, part) if middle and action and part in _ENDINGS else ("", "")
+    return (action, part) if middle and action and part in _ENDINGS | _COMMON else ("", "")

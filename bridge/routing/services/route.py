@@ -24,6 +24,9 @@ _log = logging.getLogger(__name__)
 MAX_CALLS = 1000
 """Calls of one route that are under way at most; the next ones get an error at once."""
 
+MAX_RESULTS = 10_000
+"""The same for the results of an action's goals, which are asked for while the goals are under way."""
+
 
 class ServiceRoute(Route):
     """One service; ``direction`` is the way that the service is offered, against which its calls go.
@@ -47,13 +50,14 @@ class ServiceRoute(Route):
         self.counters: CallCounters = CallCounters()
         self.conversion = conversion
         self.servers = 0
+        self._most = MAX_RESULTS if self.hub_type.endswith("_GetResult") else MAX_CALLS
         self._joint = joint
         self._calls: dict[Passing, None] = {}
         self._lock = Lock()
         self._far: HubClient | EdgeCaller | None = None
         self._near: HubServer | EdgeServer | None = None
         name = f"midspan-{self.direction}{self.side_topic}"
-        self._large = Lane[Callable[[], None]](name, 2 * MAX_CALLS, QUEUE_BYTES, lambda work: work(), lambda: None)
+        self._large = Lane[Callable[[], None]](name, 2 * self._most, QUEUE_BYTES, lambda work: work(), lambda: None)
 
     @abstractmethod
     def open(self) -> None:
@@ -73,8 +77,8 @@ class ServiceRoute(Route):
         with self._lock:
             self.counters.crossed(len(request))
             self.counters.pending += 1
-            if len(self._calls) >= MAX_CALLS:
-                trouble = f"{MAX_CALLS} calls of {self.side_topic} are under way already; call again later"
+            if len(self._calls) >= self._most:
+                trouble = f"{self._most} calls of {self.side_topic} are under way already; call again later"
             self._calls[call] = None
         if trouble:
             self.counters.dropped("queue")
