@@ -150,6 +150,7 @@ def test_reader_of_carriers(number: int) -> None:
             help_at = next(i for i, s in enumerate(talk.steps) if b"help" in s.data and s.by == "C")
             _check_help(talk.steps[help_at].data, talk.steps[help_at + 1].data, address)
             del talk.steps[help_at : help_at + 2]
+            until(lambda: not port.inputs(), "the end of that connection is seen, which would be listed")
         as_acceptor(_comparable(talk), address, Profile.YARP4)
         count = sum(len(split(s.data)) for s in talk.steps if s.by == "C" and s.data[:1] in b"DY" and b"msg" in s.data)
         until(lambda: len(got) == count, f"{count} messages")
