@@ -60,6 +60,6 @@ def mismatch(offered: Qos, requested: Qos) -> str:
     return " and ".join(reasons)
 
 
-SERVICE = Qos(depth=2000)
-"""Of our clients and servers: a peer sees ROS 2's own profile for services, and we have room for twice the calls that
-may be under way at once."""
+SERVICE = Qos(depth=20_000)
+"""Of our clients and servers: a peer sees ROS 2's own profile for services, and we have room for more calls than
+may be under way. It costs no memory before it is used."""

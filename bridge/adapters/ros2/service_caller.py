@@ -21,6 +21,8 @@ from bridge.adapters.ros2.service_window import Requests
 from bridge.hub.call import Abandon, CallError, Done
 
 _MOST = SERVICE.depth // 2
+"""Calls of one caller under way; the engine allows less."""
+
 _LOOK = 0.5
 _MATCH = 0.01
 _MATCH_SECONDS = 5.0
