@@ -63,7 +63,10 @@ class Topic(Section):
         " number or a text in single quotes that always stands there. Example: `[linear.x, linear.y, angular.z]`.",
     )
     carrier: str | None = Field(default=None, description="With `port`: how it is connected, for example `fast_tcp`.")
-    profile: ProfileName | None = Field(default=None, description="Whose bytes the port speaks; default `profile`.")
+    profile: ProfileName | None = Field(
+        default=None,
+        description="Whose bytes the port speaks; by default it is asked, and if it does not answer `profile`.",
+    )
     latched: bool = Field(default=False, description="Keep the last message from YARP for late joiners.")
     frame: str = Field(default="", description="Frame of messages whose YARP type has none.")
     child_frame: str = Field(default="", description="The robot's frame in odometry; default `base_link`.")
@@ -218,7 +221,8 @@ class YarpSection(Section):
     ip: str | None = Field(default=None, description="Address that our ports listen on and tell; default YARP_IP's.")
     profile: ProfileName = Field(
         default="yarp3",
-        description="Whose bytes are written, and read where they do not tell: `yarp3` for YARP 3, `yarp4` for 4.",
+        description="Whose bytes are written to ports that do not answer which YARP they are, and read where they do not"
+        " tell: `yarp3` for YARP 3, `yarp4` for 4.",
     )
     release: str | None = Field(
         default=None,
