@@ -166,4 +166,4 @@ def test_a_server_that_leaves_ends_the_goal(midspan: Midspan, robot: Robot) -> N
     outcome = midspan("action", "send", "/lookup", "{target_frame: slow}")
     thread.join()
     assert outcome.code == 1
-    assert "left" in outcome.err
+    assert "left" in outcome.err or "no server" in outcome.err  # it may leave before its result is asked for

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge.backoff import Backoff
 from bridge.config import Config
 from bridge.config.state import state_folder
 from bridge.daemon import log
-from bridge.backoff import Backoff
 from bridge.daemon.lock import Lock
 from bridge.daemon.loop import Loop
 from bridge.daemon.protocol import (
