@@ -221,8 +221,8 @@ class YarpSection(Section):
     ip: str | None = Field(default=None, description="Address that our ports listen on and tell; default YARP_IP's.")
     profile: ProfileName = Field(
         default="yarp3",
-        description="Whose bytes are written to ports that do not answer which YARP they are, and read where they do not"
-        " tell: `yarp3` for YARP 3, `yarp4` for 4.",
+        description="Whose bytes are written to ports that do not answer which YARP they are, and read where they do"
+        " not tell: `yarp3` for YARP 3, `yarp4` for 4.",
     )
     release: str | None = Field(
         default=None,
