@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from bridge.adapters.base import Deliver, Endpoint, Kind, MadeBy
 from bridge.adapters.ros1.actions import finding, parts
@@ -12,7 +12,8 @@ from bridge.adapters.ros1.actions.finding import NOTHING, Server
 from bridge.adapters.ros1.actions.guard import FrameGuard
 from bridge.adapters.ros1.actions.network import ActionTypes, Network, learn, types_of
 from bridge.adapters.ros1.actions.served import PartPublisher, PartServer, ServedAction
-from bridge.adapters.ros1.graph import Look
+from bridge.adapters.ros1.graph import Link, Look
+from bridge.adapters.ros1.probe import Facts
 from bridge.hub.call import Call
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.errors import MessageTypeError
@@ -157,15 +158,15 @@ class Actions:
                     return
 
     def _tick(self, callers: list[ActionCaller], served: list[ServedAction]) -> None:
-        facts, found = self._network.facts(), self._found
-
-        def natives(name: str) -> list[Server]:
-            return [s for s in found.servers.get(name, ()) if finding.is_native(s, facts)]
-
+        facts = self._network.facts()
         for caller in callers:
-            caller.poll(natives(caller.name))
+            caller.poll(self._natives(caller.name, facts))
         for one in served:
-            one.poll(next((s.node for s in natives(one.name)), ""))
+            one.poll(next((s.node for s in self._natives(one.name, facts)), ""))
+
+    def _natives(self, name: str, facts: Mapping[Link, Facts]) -> list[Server]:
+        """The native servers of an action that have answered."""
+        return [s for s in self._found.servers.get(name, ()) if finding.is_native(s, facts)]
 
 
 def _endpoint(server: Server, part: str, made_by: MadeBy) -> Endpoint:

@@ -48,6 +48,7 @@ class ActionCaller:
         self._ready = False
         self._since = 0.0
         self._newest: tuple[bytes, str] | None = None
+        self._early: tuple[bytes, str] | None = None
         self._unsure: list[tuple[bytes, Done, _Begun]] = []
         self._listeners: dict[str, list[Deliver]] = {part: [] for part in parts.TOPICS}
         self._states = b""
@@ -102,7 +103,7 @@ class ActionCaller:
 
     def _listen(self, part: str, deliver: Deliver) -> None:
         self._listeners[part].append(deliver)
-        if part == parts.STATUS and self._states:
+        if part == parts.STATUS and self._states and self._server is not None:
             deliver(self._states, self._source(part), None)
 
     def _unsubscribe(self, part: str, deliver: Deliver, opened: object) -> None:
@@ -158,6 +159,11 @@ class ActionCaller:
         if servers:
             self._server, self._since = servers[0], time.monotonic()
             self._client.found()
+            if self._states:  # what is known of earlier goals is kept with the publisher that is there now
+                self._deliver(parts.STATUS, self._states)
+            if self._early is not None:  # a list that its connection brought before the master's state was read
+                self._newest, self._early = self._early, None
+                self._take_statuses()
 
     def _watch(self) -> None:
         server = self._server
@@ -185,7 +191,9 @@ class ActionCaller:
     def _is_ours(self, source: str, part: str) -> bool:
         """Whether a message's publisher is the server that is used."""
         server = self._server
-        return server is not None and source.startswith(f"publisher {self.name}/{part} {server.node} {server.uri}")
+        if server is None:
+            return False
+        return source.removesuffix(" latched") == f"publisher {self.name}/{part} {server.node} {server.uri}"
 
     def _on_status(self, payload: bytes, source: str, _time: int | None) -> None:
         """Only the newest list counts: each names all goals."""
@@ -195,8 +203,13 @@ class ActionCaller:
 
     def _take_statuses(self) -> None:
         newest, self._newest = self._newest, None
-        if newest is not None and self._is_ours(newest[1], finding.STATUS):
-            self._read(finding.STATUS, lambda: self._client.statuses(wire.read_statuses(newest[0])))
+        if newest is None:
+            return
+        payload, source = newest
+        if self._is_ours(source, finding.STATUS):
+            self._read(finding.STATUS, lambda: self._client.statuses(wire.read_statuses(payload)))
+        else:
+            self._early = newest
 
     def _on_feedback(self, payload: bytes, source: str, _time: int | None) -> None:
         self._turns.take(lambda: self._outcome(finding.FEEDBACK, payload, source))
