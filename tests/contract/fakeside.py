@@ -8,14 +8,16 @@ from typing import Any
 
 from bridge.adapters.base import MadeBy
 from bridge.config.model import Config
+from bridge.hub.call import Call
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.hub.session import Hub
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
-from tests.contract.hubside import ros2_name
+from tests.contract.hubside import ros2_name, service_name
 from tests.contract.side import CUSTOM_FOLDER, Side
-from tests.support.fake import FakeEdge, FakeNetwork, Reader, Writer
+from tests.support.calls import Calling, Serving
+from tests.support.fake import FakeEdge, FakeNetwork, Reader, Server, Writer
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -25,7 +27,9 @@ class FakePeer:
 
     def __init__(self, network: FakeNetwork, registry: Registry, node: str) -> None:
         self._network, self._registry, self._node = network, registry, node
-        self._things: dict[int, tuple[Writer | Reader, str]] = {}
+        self._things: dict[int, tuple[Writer | Reader | Server, str]] = {}
+        self._servings: dict[int, Serving] = {}
+        self._callings: dict[int, Calling] = {}
         self._heard: dict[int, list[dict[str, Any]]] = {}
         self._ids = itertools.count(1)
         self._changed = threading.Condition()
@@ -60,6 +64,27 @@ class FakePeer:
         with self._changed:
             self._changed.wait_for(lambda: len(self._heard[endpoint]) >= count, seconds)
             return list(self._heard[endpoint])
+
+    def ask(self, do: str, **params: Any) -> dict[str, Any]:
+        """The words of services; see `tests.support.peer`."""
+        if do == "serve":
+            number, name = next(self._ids), service_name(params["type"])
+            serving = self._servings[number] = Serving(self._registry, name, params)
+            server = self._network.serve(params["service"], name, MadeBy.NATIVE, self._node, serving.call)
+            self._things[number] = (server, name)
+            return {"id": number}
+        if do == "call":
+            number, name = next(self._ids), service_name(params["type"])
+            call: Call = lambda request, done: self._network.call(params["service"], request, done)  # noqa: E731
+            self._callings[number] = Calling(self._registry, name, params.get("request") or {}, call)
+            return {"id": number}
+        number = params.pop("id")
+        if do == "result":
+            return self._callings[number].result(**params)
+        if do == "requests":
+            return {"requests": self._servings[number].requests(**params)}
+        self._servings[number].release()
+        return {}
 
     def drop(self, endpoint: int) -> None:
         self._network.remove(self._things.pop(endpoint)[0])
@@ -112,6 +137,7 @@ class FakeSide(Side):
     """A network in memory."""
 
     name = "fake"
+    has_services = True
     has_custom_types = False
 
     def __init__(self, hubs: HubNetwork) -> None:

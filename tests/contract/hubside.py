@@ -7,10 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from bridge.hub.qos import Durability, Qos, Reliability
+from bridge.hub.service import HubClient, HubServer
 from bridge.hub.session import Hub
 from bridge.messages.json import from_json, to_json
 from bridge.messages.registry import Registry
 from tests.contract.side import PeerLike
+from tests.support.calls import Calling, Serving
 from tests.support.wait import until
 
 
@@ -24,6 +26,8 @@ class HubSide:
         self._subscriptions: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._next = 0
+        self.servers: dict[str, HubServer] = {}
+        self._clients: dict[str, HubClient] = {}
 
     def advertise(self, topic: str, type_: str, *, latched: bool = False, depth: int = 10) -> int:
         name = ros2_name(type_)
@@ -113,6 +117,23 @@ class HubSide:
 
         return until(answers, "a status answer")[0]
 
+    def serve(self, service: str, type_: str, **params: Any) -> Serving:
+        """A server on the hub; ``server.close`` ends it."""
+        name = service_name(type_)
+        serving = Serving(self.registry, name, params)
+        self.servers[service] = self.hub.server(service, name, self.registry.service_ros2(name).type_id, serving.call)
+        return serving
+
+    def call(self, service: str, type_: str, **request: Any) -> Calling:
+        """Call a server as soon as the hub has one."""
+        name = service_name(type_)
+        client = self._clients.get(service)
+        if client is None:
+            client = self.hub.client(service, name, self.registry.service_ros2(name).type_id)
+            self._clients[service] = client
+        until(lambda: client.ready, f"a server of {service} on the hub", 60)
+        return Calling(self.registry, name, request, client.call)
+
     def route(self, topic: str, direction: str) -> dict[str, Any] | None:
         return next((r for r in self.status()["routes"] if r["topic"] == topic and r["direction"] == direction), None)
 
@@ -128,3 +149,8 @@ class HubSide:
 def ros2_name(type_: str) -> str:
     package, _, name = type_.partition("/")
     return f"{package}/msg/{name}"
+
+
+def service_name(type_: str) -> str:
+    package, _, name = type_.partition("/")
+    return f"{package}/srv/{name}"

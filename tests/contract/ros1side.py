@@ -18,6 +18,7 @@ class Ros1Side(Side):
     """A roscore of its own."""
 
     name = "ros1"
+    has_services = True
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()

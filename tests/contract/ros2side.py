@@ -22,6 +22,9 @@ class Ros2Side(Side):
     """A DDS domain. It has no centre that could die; only its programs come and go."""
 
     name = "ros2"
+    has_services = True
+    tells_errors = False
+    tells_death = False  # not before a program's lease of 20 s is over
 
     def __init__(self, _hubs: HubNetwork) -> None:
         super().__init__()

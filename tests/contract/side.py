@@ -32,6 +32,7 @@ class PeerLike(Protocol):
     def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]: ...
     def drop(self, endpoint: int) -> None: ...
     def graph(self) -> dict[str, Any]: ...
+    def ask(self, do: str, **params: Any) -> dict[str, Any]: ...
     def stop(self, seconds: float = 6.0) -> int: ...
 
 
@@ -50,6 +51,9 @@ class Side(ABC):
     has_custom_types: ClassVar[bool] = True
     can_restart_network: ClassVar[bool] = True
     tells_latching: ClassVar[bool] = True
+    has_services: ClassVar[bool] = False
+    tells_errors: ClassVar[bool] = True
+    tells_death: ClassVar[bool] = True
 
     def __init__(self) -> None:
         self._names = itertools.count(1)
