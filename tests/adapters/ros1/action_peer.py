@@ -140,6 +140,27 @@ class Client:
         }  # fmt: skip
 
 
+class Flood:
+    """Goals without an actionlib client, whose books are too slow for a thousand."""
+
+    def __init__(self, name, type):
+        self.goal = roslib.message.get_message_class(type + "ActionGoal")
+        self.results = {}
+        self.publisher = rospy.Publisher(name + "/goal", self.goal, queue_size=0)
+        result = roslib.message.get_message_class(type + "ActionResult")
+        rospy.Subscriber(name + "/result", result, self.on_result, buff_size=1 << 22)
+
+    def on_result(self, message):
+        self.results.setdefault(message.status.goal_id.id, []).append([message.status.status, message.result.result])
+
+    def send(self, count):
+        for number in range(count):
+            message = self.goal()
+            message.goal_id = GoalID(id=f"g{number}", stamp=rospy.Time(1 + number))
+            message.goal.goal = number
+            self.publisher.publish(message)
+
+
 class Peer:
     """Carries out the commands."""
 
@@ -214,6 +235,19 @@ class Peer:
         message.goal.goal = number
         client.client.pub_goal.publish(message)
         return {}
+
+    def do_flood(self, name, count, type="actionlib/Test", **_):
+        flood = Flood(name, type)
+        while not flood.publisher.impl.has_connection("/midspan"):  # a probe connects before
+            time.sleep(0.01)
+        flood.send(count)
+        return self.add(flood)
+
+    def do_results(self, id, count, seconds=60.0, **_):
+        end = time.monotonic() + seconds
+        while len(self.parts[id].results) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        return {"results": self.parts[id].results}
 
     def do_status(self, id, **_):
         status = self.parts[id].client.last_status_msg

@@ -548,6 +548,37 @@ def test_cancel_from_ros_1(master, edge, clients):
     act.hub.close()
 
 
+def test_a_thousand_goals_of_ros_1_at_once_end_as_the_hub_says(master, edge, clients):
+    """All are accepted, refused or fail before the first one ends."""
+    count = 1000
+    hub = HubServer(edge, "/crowd")
+    flood = clients.ask("flood", name="/crowd", count=count)["id"]
+    goals = [wire.read_with_uuid(request) for request in hub.calls("send_goal", count)]
+    numbers = [struct.unpack("<i", data)[0] for _, data in goals]
+    assert numbers == list(range(count))
+    ends = (Ros2State.SUCCEEDED, Ros2State.ABORTED, Ros2State.CANCELED)
+    seen = {Ros2State.SUCCEEDED: Ros1State.SUCCEEDED, Ros2State.ABORTED: Ros1State.ABORTED}
+    wanted = {}
+    for number in numbers:
+        more = {"id": hub.services["send_goal"], "number": number}
+        if number % 10 == 1:
+            edge.ask("answer", error="no server", **more)
+            wanted[number] = [Ros1State.ABORTED, 0]
+        else:
+            edge.ask("answer", reply=encoded(wire.goal_response(ZERO, accepted=number % 10 != 2)), **more)
+            wanted[number] = [Ros1State.REJECTED, 0]
+    at = {goal: index for index, goal in enumerate(hub.calls("get_result", count * 8 // 10))}
+    for (goal, _), number in zip(goals, numbers, strict=True):
+        if number % 10 not in (1, 2):
+            state = ends[number % 3]
+            reply = encoded(wire.result_response(state, body(number)))
+            edge.ask("answer", id=hub.services["get_result"], number=at[goal], reply=reply)
+            wanted[number] = [seen.get(state, Ros1State.RECALLED), number]
+    results = clients.ask("results", id=flood, count=count)["results"]
+    assert results == {f"g{number}": [end] for number, end in wanted.items()}
+    hub.close()
+
+
 def test_a_hub_server_that_goes_ends_its_goals(master, edge, clients):
     peer = clients
     act = Served(edge, peer, "/gone")
