@@ -10,7 +10,8 @@ from typing import Any
 
 from bridge.adapters.base import EdgeCaller, EdgeServer
 from bridge.hub.call import Abandon, CallError, Done
-from bridge.hub.service import LEFT, HubClient, HubServer
+from bridge.hub.queries import LEFT
+from bridge.hub.service import HubClient, HubServer
 from bridge.messages.conversion import ServiceConversion
 from bridge.routing.joint import Joint
 from bridge.routing.lane import Lane
