@@ -63,6 +63,14 @@ def pytest_runtest_logfinish(nodeid: str) -> None:
         _started_by.setdefault(thing, nodeid)
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the tables that tests recorded (``record_property("table", text)``)."""
+    for report in terminalreporter.getreports("passed") + terminalreporter.getreports("failed"):
+        for name, text in report.user_properties if report.when == "call" else ():
+            if name == "table":
+                terminalreporter.write_line(str(text))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: object, error: object) -> None:
     """A process of pytest-xdist that ran some of the tests has ended: take what it found."""

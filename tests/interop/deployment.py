@@ -134,7 +134,12 @@ class Deployment:
         self._open.append(peer)
         return peer
 
-    def _hub_settings(self, node: str) -> HubSettings:
+    def keep(self, thing: Any) -> Any:
+        """Stop something with the deployment."""
+        self._open.append(thing)
+        return thing
+
+    def settings(self, node: str) -> HubSettings:
         return HubSettings(router=f"tcp/127.0.0.1:{self.port}", node=node, daemon="far", worker=node)
 
     def _name(self, side: str) -> str:

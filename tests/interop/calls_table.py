@@ -1,0 +1,283 @@
+"""Services and actions between every pair of sides, through one daemon, with real middlewares on both ends.
+
+``python -m tests.interop.calls_table [--json FILE]`` prints the table; the test beside it does the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from tests.interop.deployment import Deployment
+from tests.interop.hub_actions import HubActions
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.wait import until
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.pythonic import Client, Server
+
+SECONDS = 40.0
+SERVICE = "std_srvs/SetBool"
+YARP_RPC = "/lamp/rpc:i"
+
+ROS1 = "ROS 1 rospy, actionlib"
+ROS2 = "ROS 2 rclpy"
+ZENOH = "zenoh, zenoh-ros2-sdk"
+YARP = "YARP RPC"
+HUB = "zenoh, Midspan's module"
+"""zenoh-ros2-sdk has no actions; their end on the hub is what modules of Midspan use."""
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+@dataclass(frozen=True)
+class Line:
+    """What crossed between two sides, and what did not."""
+
+    kind: str
+    server: str
+    client: str
+    passed: str
+    failed: str
+    seconds: float
+
+    @property
+    def good(self) -> bool:
+        """Whether all of it crossed."""
+        return not self.failed
+
+
+class ServiceSide(Protocol):
+    """A program that serves services and calls them."""
+
+    def serve(self, service: str, message: str) -> None:
+        """Answer true, and this text; False is refused where the side can say so."""
+
+    def call(self, service: str, *, data: bool) -> dict[str, Any]:
+        """The reply, or {} where there was an error."""
+
+
+class RosServices:
+    """Services of a peer program."""
+
+    def __init__(self, peer: Peer) -> None:
+        self._peer = peer
+
+    def serve(self, service: str, message: str) -> None:
+        self._peer.ask("serve", service=service, type=SERVICE, reply={"success": True, "message": message})
+
+    def call(self, service: str, *, data: bool) -> dict[str, Any]:
+        call = self._peer.ask("call", service=service, type=SERVICE, request={"data": data})["id"]
+        told = self._peer.ask("result", id=call, seconds=SECONDS)
+        return told["reply"] or {}
+
+
+class YarpServices:
+    """An RPC port that serves, and clients of the ports of the hub's services."""
+
+    def __init__(self, names: NameClient) -> None:
+        self._names = names
+        self._open: list[Any] = []
+
+    def serve(self, service: str, message: str) -> None:  # noqa: ARG002 - a rule gives the port its service
+        port = Server(YARP_RPC, lambda values: [int(values == [1]), message], naming=self._names)
+        self._open.append(port.open())
+
+    def call(self, service: str, *, data: bool) -> dict[str, Any]:
+        port = f"/midspan{service}/rpc"
+        until(lambda: self._names.query(port), f"{port} is there", SECONDS)
+        with Client(port, naming=self._names) as client:
+            values = client.ask([data], timeout=SECONDS)
+        return {"success": values[0] == 1, "message": values[1]}
+
+    def stop(self) -> None:
+        """Close its ports."""
+        for port in self._open:
+            port.close()
+
+
+TYPES = {ROS1: "move_base_msgs/MoveBase", ROS2: "nav2_msgs/NavigateToPose", HUB: "nav2_msgs/NavigateToPose"}
+FIELDS = {ROS1: ("target_pose", "base_position"), ROS2: ("pose", "current_pose"), HUB: ("pose", "current_pose")}
+
+
+def pose(x: float) -> dict[str, Any]:
+    """A stamped pose in the map."""
+    return {"header": {"frame_id": "map"}, "pose": {"position": {"x": x}, "orientation": {"w": 1.0}}}
+
+
+def place(message: dict[str, Any]) -> tuple[str, float]:
+    """Frame and place of a stamped pose."""
+    return message["header"]["frame_id"], message["pose"]["position"]["x"]
+
+
+class Pair:
+    """An action's server on one side and its client on the other; both know the commands of `tests.support.peer`."""
+
+    def __init__(self, server: tuple[str, Any], client: tuple[str, Any]) -> None:
+        self.sides = server[0], client[0]
+        self.server, self.client = server[1], client[1]
+        self._of = "_to_".join(name.split()[-1].split("'")[0].lower() for name in self.sides)
+
+    def name(self, kind: str) -> str:
+        """An action's name of this pair's own."""
+        return f"/{self._of}/{kind}"
+
+    def act(self, name: str, **more: Any) -> int:
+        """Serve an action."""
+        feedback = [{FIELDS[self.sides[0]][1]: pose(1.5)}]
+        return int(self.server.ask("act", action=name, type=TYPES[self.sides[0]], feedback=feedback, **more)["id"])
+
+    def send(self, name: str) -> int:
+        """Send a goal."""
+        goal = {FIELDS[self.sides[1]][0]: pose(3.5)}
+        asked = {"action": name, "type": TYPES[self.sides[1]], "goal": goal, "seconds": SECONDS}
+        return int(self.client.ask("send_goal", **asked)["id"])
+
+    def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
+        """What the client knows of a goal, once these fields are so."""
+        found: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=SECONDS)
+        seen = {k: len(found[k]) if k == "feedback" else found[k] for k in wanted}
+        assert seen == wanted, f"{seen}, not {wanted}"
+        return found
+
+    # -- what is to cross ----------------------------------------------------------------------------------------------
+
+    def goal_and_result(self) -> None:
+        """A goal, its feedback and its result."""
+        acting = self.act(self.name("held"), held=True)
+        goal = self.send(self.name("held"))
+        heard = self.goal(goal, accepted=True, feedback=1)
+        (seen,) = self.server.ask("goals", id=acting)["goals"]
+        assert place(seen[FIELDS[self.sides[0]][0]]) == ("map", 3.5)
+        assert place(heard["feedback"][0][FIELDS[self.sides[1]][1]]) == ("map", 1.5)
+        self.server.ask("release", id=acting)
+        assert self.goal(goal, status=SUCCEEDED)["result"] is not None
+
+    def abort(self) -> None:
+        """A goal that the server aborts."""
+        self.act(self.name("abort"), outcome="abort")
+        self.goal(self.send(self.name("abort")), accepted=True, status=ABORTED)
+
+    def cancel(self) -> None:
+        """A goal that the client cancels."""
+        self.act(self.name("cancel"), held=True)
+        goal = self.send(self.name("cancel"))
+        self.goal(goal, accepted=True, feedback=1)
+        self.client.ask("cancel", id=goal)
+        self.goal(goal, cancel=[0, 1], status=CANCELED)
+
+    def reject(self) -> None:
+        """A goal that the server rejects."""
+        self.act(self.name("reject"), outcome="reject")
+        self.goal(self.send(self.name("reject")), accepted=False, status=0)
+
+    def parts(self) -> dict[str, Callable[[], None]]:
+        """All of it, by name."""
+        return {
+            "goal, feedback, result": self.goal_and_result,
+            "abort": self.abort,
+            "cancel": self.cancel,
+            "reject": self.reject,
+        }
+
+
+def table(deployment: Deployment) -> Iterator[Line]:
+    """Start the daemon, and try every pair."""
+    names = Address("127.0.0.1", free_port())
+    rule = {"service": "/from_yarp", "port": YARP_RPC, "type": "std_srvs/srv/SetBool"}
+    yarp = {"nameserver": "embedded", "address": f"{names.host}:{names.port}", "poll": 0.1, "services": [rule]}
+    deployment.start(yarp=yarp)
+    until(lambda: deployment.worker("yarp").get("state") == "running", "the YARP network is joined", SECONDS)
+    ros1, ros2 = deployment.ros1(), deployment.ros2()
+    ports = deployment.keep(YarpServices(NameClient(names)))
+    sides: dict[str, ServiceSide] = {
+        ROS1: RosServices(ros1),
+        ROS2: RosServices(ros2),
+        ZENOH: RosServices(deployment.sdk()),
+        YARP: ports,
+    }
+    yield from services(sides)
+    hub = deployment.keep(HubActions(deployment.settings("module")))
+    yield from actions({ROS1: ros1, ROS2: ros2, HUB: hub})
+
+
+def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
+    """Each side serves one service, and each other side calls it."""
+    keys = {ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", YARP: "yarp"}
+    for server, side in sides.items():
+        side.serve(f"/from_{keys[server]}", f"by {server}")
+    for server in sides:
+        for client, side in sides.items():
+            if client != server:
+                service = f"/from_{keys[server]}"
+                yield line("service", server, client, {"request, reply": partial(ask, side, service, server)})
+
+
+def ask(side: ServiceSide, service: str, server: str) -> None:
+    """Call a service until it is found; the reply is to be its server's."""
+    end = time.monotonic() + SECONDS
+    while True:
+        reply: object = "no server"
+        try:
+            reply = side.call(service, data=True)
+        except (AssertionError, OSError) as err:
+            reply = err
+        if reply == {"success": True, "message": f"by {server}"}:
+            return
+        assert time.monotonic() < end, f"{service}: {reply!r}"
+        time.sleep(0.1)
+
+
+def actions(peers: dict[str, Any]) -> Iterator[Line]:
+    """Each side drives each other's servers."""
+    for server in peers.items():
+        for client in peers.items():
+            if client[0] != server[0]:
+                yield line("action", server[0], client[0], Pair(server, client).parts())
+
+
+def line(kind: str, server: str, client: str, parts: dict[str, Callable[[], None]]) -> Line:
+    """Try what is to cross between two sides."""
+    began = time.monotonic()
+    passed, failed = [], []
+    for name, part in parts.items():
+        try:
+            part()
+            passed.append(name)
+        except AssertionError as err:
+            failed.append(f"{name}: {err}")
+    return Line(kind, server, client, ", ".join(passed), "; ".join(failed), time.monotonic() - began)
+
+
+def text(lines: list[Line]) -> str:
+    """The table."""
+    rows = [("kind", "server", "client", "crossed", "seconds", "failed")]
+    rows += [(n.kind, n.server, n.client, n.passed, f"{n.seconds:.2f}", n.failed) for n in lines]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def main() -> int:
+    """Print the table; 1 where something did not cross."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table to this file")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
+        lines = list(table(deployment))
+    print(text(lines))
+    if args.json:
+        args.json.write_text(json.dumps([asdict(one) for one in lines], indent=2) + "\n")
+    return int(not all(one.good for one in lines))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""A program on the hub itself with actions: a module's node, by the commands of `tests.support.peer`."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Any
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+from bridge.modules.action_server import Goal
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from tests.support.wait import until
+
+
+class Acting:
+    """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
+
+    def __init__(self, node: Node, params: dict[str, Any]) -> None:
+        self._feedback, self._held = params.get("feedback") or [], bool(params.get("held"))
+        self._outcome = params.get("outcome", "succeed")
+        self._goals: list[Goal] = []
+        self._changed = threading.Condition()
+        node.action_server(params["action"], full(params["type"]), self._take, self._cancel)
+        self._loop = node.loop
+
+    def _take(self, goal: Goal) -> bool:
+        if self._outcome == "reject":
+            return False
+        with self._changed:
+            self._goals.append(goal)
+            self._changed.notify_all()
+        self._loop.post(lambda: self._run(goal))
+        return True
+
+    def _run(self, goal: Goal) -> None:
+        goal.execute()
+        for feedback in self._feedback:
+            goal.feedback(feedback)
+        if not self._held:
+            self._end(goal)
+
+    def _end(self, goal: Goal) -> None:
+        (goal.abort if self._outcome == "abort" else goal.succeed)()
+
+    def _cancel(self, goal: Goal) -> bool:
+        self._loop.post(goal.canceled)
+        return True
+
+    def goals(self, count: int, seconds: float) -> list[dict[str, Any]]:
+        with self._changed:
+            self._changed.wait_for(lambda: len(self._goals) >= count, seconds)
+            return [goal.goal for goal in self._goals]
+
+    def release(self) -> None:
+        self._held = False
+        for goal in self._goals:
+            self._loop.post(lambda goal=goal: self._end(goal))
+
+
+class Sent:
+    """A goal, and what was heard of it."""
+
+    def __init__(self, node: Node, params: dict[str, Any]) -> None:
+        client = node.action_client(params["action"], full(params["type"]))
+        until(lambda: client.ready, f"there is a server of {params['action']}", params["seconds"])
+        self._feedback: list[dict[str, Any]] = []
+        self._result: dict[str, Any] | None = None
+        self._ended = False
+        self._cancelled = False
+        made = threading.Event()
+
+        def send() -> None:
+            self._goal = client.send(params["goal"], self._end, self._hear)
+            made.set()
+
+        node.loop.post(send)
+        assert made.wait(20)
+        self._loop = node.loop
+
+    def _hear(self, feedback: dict[str, Any]) -> None:
+        self._feedback.append(feedback)
+
+    def _end(self, _status: Any, result: dict[str, Any] | None, _why: str) -> None:
+        self._result, self._ended = result, True
+
+    def cancel(self) -> None:
+        self._loop.post(self._goal.cancel)
+        self._cancelled = True
+
+    def state(self) -> dict[str, Any]:
+        status = int(self._goal.status) if self._ended else 0
+        return {
+            "accepted": self._goal.accepted,
+            "feedback": self._feedback,
+            "status": status,
+            "result": self._result,
+            "cancel": [0, 1] if self._cancelled and status == 5 else None,
+        }
+
+    def wait(self, wanted: dict[str, Any], seconds: float) -> dict[str, Any]:
+        def there() -> bool:
+            state = self.state()
+            return all(len(state[k]) >= v if k == "feedback" else state[k] == v for k, v in wanted.items())
+
+        with contextlib.suppress(AssertionError):  # who asks looks at what is there
+            until(there, "the goal's state", seconds)
+        return self.state()
+
+
+class HubActions:
+    """The program."""
+
+    def __init__(self, settings: HubSettings) -> None:
+        self._loop = Loop("module")
+        self._hub = Hub.open(settings)
+        self._node = Node(self._hub, Registry(), self._loop, SYSTEM)
+        self._loop.start()
+        self._ends: list[Any] = []
+
+    def ask(self, do: str, **params: Any) -> dict[str, Any]:
+        """Carry out a command."""
+        if do in ("act", "send_goal"):
+            self._ends.append((Acting if do == "act" else Sent)(self._node, params))
+            return {"id": len(self._ends) - 1}
+        end = self._ends[params["id"]]
+        if do == "goals":
+            return {"goals": end.goals(params.get("count", 1), params.get("seconds", 20.0))}
+        if do == "goal":
+            waited: dict[str, Any] = end.wait(params["until"], params["seconds"])
+            return waited
+        getattr(end, do)()
+        return {}
+
+    def stop(self) -> None:
+        """Leave the hub."""
+        self._node.close()
+        self._loop.close()
+        self._hub.close()
+
+
+def full(name: str) -> str:
+    """``package/Name`` as ROS 2 spells an action's type."""
+    package, _, short = name.partition("/")
+    return f"{package}/action/{short}"

@@ -1,0 +1,20 @@
+"""Every pair of sides for services and actions, both ways, in one table, which is printed at the end of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tests.interop import calls_table
+from tests.interop.deployment import Deployment
+
+
+def test_services_and_actions_cross_between_each_pair_of_sides(
+    deployment: Deployment, record_property: Callable[[str, object], None]
+) -> None:
+    lines = list(calls_table.table(deployment))
+    found = calls_table.text(lines)
+    record_property("table", found)
+    assert all(line.good for line in lines), found
+    sides = {"service": 4, "action": 3}
+    assert {(n.kind, n.server, n.client) for n in lines} == {(n.kind, n.server, n.client) for n in lines if n.passed}
+    assert {k: sum(n.kind == k for n in lines) for k in sides} == {k: n * (n - 1) for k, n in sides.items()}
