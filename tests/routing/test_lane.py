@@ -56,3 +56,29 @@ def test_closing_drops_what_waits() -> None:
     closer.join(10)
     lane.put(3, 1)
     assert carried == [1]
+
+
+def test_what_is_offered_is_taken_only_where_there_is_room() -> None:
+    inside, go_on, carried = threading.Event(), threading.Event(), list[int]()
+
+    def carry(message: int) -> None:
+        inside.set()
+        assert go_on.wait(10)
+        carried.append(message)
+
+    lane = Lane[int]("lane", 2, 100, carry, lambda: None)
+    try:
+        assert lane.offer(0, 1000)
+        assert inside.wait(10)
+        assert [lane.offer(number, size) for number, size in ((1, 60), (2, 60), (3, 40), (4, 0))] == [
+            True,
+            False,
+            True,
+            False,
+        ]
+        go_on.set()
+        until(lambda: not lane.busy, "all are carried", 10)
+        assert carried == [0, 1, 3]
+    finally:
+        lane.close()
+    assert not lane.offer(5, 1)

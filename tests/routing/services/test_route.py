@@ -1,0 +1,237 @@
+"""A service's route: one end for each call, whatever comes between; and what its counters tell."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from bridge.adapters.base import MadeBy
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.call import Abandon, CallError, Done
+from bridge.hub.service import HubClient
+from bridge.hub.session import Hub
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.routing.engine import Engine
+from bridge.routing.lease import Lease
+from bridge.routing.services import route as service_route
+from tests.support.calls import Calling, Serving
+from tests.support.fake import FakeEdge, FakeNetwork
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+SET, GO = "std_srvs/srv/SetBool", "nav2_msgs/action/NavigateToPose"
+REGISTRY = Registry()
+
+
+class Place:
+    """A fake network, an engine, and a native participant of the hub."""
+
+    def __init__(self, hubs: QuickHub) -> None:
+        self._hubs = hubs
+        self.network, self.far = FakeNetwork(), Hub.open(hubs.settings("far"))
+        self._open: list[tuple[Engine, Hub]] = []
+        self.engine = self.another("test")
+
+    def another(self, daemon: str) -> Engine:
+        """An engine on the network."""
+        hub = Hub.open(self._hubs.settings("midspan_fake"))
+        engine = Engine(FakeEdge(self.network, REGISTRY), hub, RoutingSection(), daemon, self._failed, REGISTRY)
+        engine.start()
+        self._open.append((engine, hub))
+        return engine
+
+    def _failed(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+    def serve(self, name: str = "/do", type_name: str = SET, **params: Any) -> Serving:
+        """A native server of the side."""
+        serving = Serving(REGISTRY, type_name, params)
+        self.network.serve(name, type_name, MadeBy.NATIVE, "/native", serving.call)
+        return serving
+
+    def client(self, name: str = "/do", type_name: str = SET) -> HubClient:
+        client = self.far.client(name, type_name, REGISTRY.service_ros2(type_name).type_id)
+        until(lambda: client.ready, "the service is on the hub", 20)
+        return client
+
+    def row(self, name: str = "/do") -> dict[str, Any]:
+        return next(row for row in self.engine.status()["routes"] if row["topic"] == name)
+
+    def counts(self, name: str = "/do") -> tuple[int, ...]:
+        row = self.row(name)
+        return tuple(row[key] for key in ("calls", "replies", "errors", "abandoned", "pending"))
+
+    def close(self) -> None:
+        for engine, hub in self._open:
+            engine.stop()
+            hub.close()
+        self.far.close()
+
+
+@pytest.fixture
+def place() -> Iterator[Place]:
+    with QuickHub() as hubs:
+        made = Place(hubs)
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+def ask(client: HubClient, **request: Any) -> Calling:
+    return Calling(REGISTRY, SET, request, client.call)
+
+
+def test_too_many_calls_get_an_error_at_once(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_route, "MAX_CALLS", 3)
+    serving = place.serve(held=True, reply={"message": "late"})
+    client = place.client()
+    waiting = [ask(client) for _ in range(3)]
+    serving.requests(3)
+    assert ask(client).result()["error"] == "3 calls of /do are under way already; call again later"
+    assert place.counts() == (4, 0, 1, 0, 3)
+    assert place.row()["drops"]["queue"] == 1
+    serving.release()
+    assert [call.result()["reply"]["message"] for call in waiting] == ["late"] * 3
+    assert ask(client).result()["reply"]
+    assert place.counts() == (5, 4, 1, 0, 0)
+
+
+def test_a_caller_that_gives_up_is_forgotten_on_the_side(place: Place) -> None:
+    serving = place.serve(held=True)
+    call = ask(place.client())
+    serving.requests(1)
+    call.abandon()
+    until(lambda: serving.abandoned == 1, "the side's server is told")
+    serving.release()
+    assert place.counts() == (1, 0, 0, 1, 0)
+    assert not call.result(0)["done"]
+
+
+def test_what_is_not_of_its_type_is_refused_both_ways(place: Place) -> None:
+    place.serve()
+
+    def nonsense(_request: bytes, done: Done) -> Abandon:
+        done(b"\0\1\0\0nonsense")
+        return lambda: None
+
+    place.network.serve("/odd", SET, MadeBy.NATIVE, "/odd", nonsense)
+    ends: list[bytes | CallError] = []
+    ended = threading.Event()
+    place.client().call(b"\0\1\0\0", lambda end: (ends.append(end), ended.set()))
+    assert ended.wait(20)
+    assert str(ends[0]).startswith("the request is not what its type says")
+    assert ask(place.client("/odd")).result()["error"].startswith("the reply is not what its type says")
+    assert [place.row(name)["drops"]["bad"] for name in ("/do", "/odd")] == [1, 1]
+    assert place.counts("/odd") == (1, 0, 1, 0, 0)
+
+
+def test_a_large_reply_passes_whole_and_delays_no_small_one(place: Place) -> None:
+    place.serve("/large", reply={"message": "x" * 1_000_000})
+    place.serve(reply={"message": "small"})
+    large, small = place.client("/large"), place.client()
+    calls = [ask(large) for _ in range(5)]
+    assert ask(small).result()["reply"]["message"] == "small"
+    assert [len(call.result()["reply"]["message"]) for call in calls] == [1_000_000] * 5
+
+
+def test_while_another_worker_may_be_active_a_call_is_refused(place: Place) -> None:
+    serving = place.serve()
+    client = place.client()
+    (route,) = place.engine.routes()
+    route._joint = replace(route._joint, lease=Lease())  # one that was never extended
+    assert ask(client).result()["error"] == "the bridge to fake stood still or stands by; call again later"
+    assert serving.requests(1, 0) == []
+    assert place.row()["drops"]["standby"] == 1
+
+
+def test_the_end_of_the_network_ends_its_calls(place: Place) -> None:
+    serving = place.serve(held=True)
+    call = ask(place.client())
+    serving.requests(1)
+    place.network.restart(None)
+    assert call.result()["error"] in (
+        "the fake network of the server is away",
+        "the server of /do left before it answered",
+    )
+    serving.release()
+    until(lambda: not place.far.graph.servers("/do"), "gone from the hub")
+
+
+@pytest.mark.parametrize(
+    ("part", "type_name", "said"),
+    [
+        ("send_goal", f"{GO}_SendGoal", {"accepted": False}),
+        ("get_result", f"{GO}_GetResult", {"status": 6}),
+        ("cancel_goal", "action_msgs/srv/CancelGoal", {"return_code": 1}),
+    ],
+)
+def test_an_error_of_an_actions_service_is_the_reply_that_says_no(
+    place: Place, part: str, type_name: str, said: dict[str, int]
+) -> None:
+    """A client of rmw_zenoh hears no errors."""
+    place.serve(f"/go/_action/{part}", type_name, error="the planner fell over")
+    if part == "cancel_goal":
+        place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
+    client = place.client(f"/go/_action/{part}", type_name)
+    reply = Calling(REGISTRY, type_name, {}, client.call).result()["reply"]
+    assert {name: reply[name] for name in said} == said
+    row = place.row(f"/go/_action/{part}")
+    assert (row["action"], row["errors"], row["error"]) == ("/go", 1, "the planner fell over")
+
+
+def test_explain_tells_an_action_by_its_parts(place: Place) -> None:
+    place.serve("/go/_action/send_goal", f"{GO}_SendGoal")
+    place.serve("/go/_action/cancel_goal", "action_msgs/srv/CancelGoal")
+    place.client("/go/_action/send_goal", f"{GO}_SendGoal")
+    expected = {
+        ("/go/_action/send_goal", "/go", "bridged"),
+        ("/go/_action/cancel_goal", "/go", "bridged"),
+    }
+
+    def explained() -> set[tuple[str, str, str]]:
+        return {(line["topic"], line["action"], line["decision"]) for line in place.engine.explain("/go")}
+
+    until(lambda: explained() == expected, "both are explained")
+
+
+def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
+    def serve(request: bytes, done: Done) -> Abandon:
+        on = to_json(REGISTRY, f"{SET}_Request", request)["data"]
+        done(from_json(REGISTRY, f"{SET}_Response", {"success": on}))
+        return lambda: None
+
+    server = place.far.server("/do", SET, REGISTRY.service_ros2(SET).type_id, serve)
+    served: Callable[[], bool] = lambda: any(e.topic == "/do" for e in place.network.endpoints())  # noqa: E731
+    until(served, "offered on the side", 20)
+
+    def ask_side(request: bytes, done: Done) -> Abandon:
+        return place.network.call("/do", request, done)
+
+    assert Calling(REGISTRY, SET, {"data": True}, ask_side).result()["reply"]["success"] is True
+    server.close()
+    until(lambda: not served(), "taken back")
+    assert Calling(REGISTRY, SET, {}, ask_side).result()["error"] == "nobody serves /do"
+
+
+def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: Place) -> None:
+    """The call that is under way ends with an error; the next one is served by way of the other worker."""
+    serving = place.serve(held=True, reply={"success": True})
+    client = place.client()
+    call = ask(client)
+    serving.requests(1)
+    second = place.another("second")
+    until(lambda: second.summary().standing_by, "the second one stands by", 20)
+    until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "explained")
+    assert len(place.far.graph.servers("/do")) == 1
+    place.engine.stop()
+    assert call.result()["error"]
+    serving.release()
+    until(lambda: second.summary().state == "running", "the second one is active", 20)
+    assert ask(place.client()).result()["reply"]["success"] is True
+    assert len(place.far.graph.servers("/do")) == 1
