@@ -17,7 +17,7 @@ ENTRY = "zenoh"
 
 Kind = Literal["topic", "service", "action"]
 
-_PARAMETERS = "rcl_interfaces/srv/"
+_PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
 _WITH_NODES = frozenset({"ros2", "zenoh_ros2dds"})
 """Sides on which nodes have parameters of their own."""
 
@@ -109,7 +109,8 @@ class RuleSet:
             return self._private(origin, topic, type_name, kind) or self._default(topic)
         if elsewhere and self.section.default == "deny":
             return self._default(topic)
-        if side not in _WITH_NODES and self._shares(topic, type_name, kind):
+        told = type_name == _EVENT or self._shares(topic, type_name, kind)
+        if self.section.private and side not in _WITH_NODES and told:
             return Decision(allowed=False, why="parameters are told by routing.parameters", name=topic, private=True)
         return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
 

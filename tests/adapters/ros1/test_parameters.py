@@ -133,6 +133,8 @@ def test_a_nodes_parameter_services_cross_where_a_rule_names_it():
     assert not rules.enter("ros2", "/ns/n/change_state", "lifecycle_msgs/srv/ChangeState", "service").allowed
     assert not rules.leave("ros2", "ros1", "/ns/n/get_parameters", kind, "service").allowed
     assert rules.leave("ros1", "ros2", "/ns/n/get_parameters", kind, "service").allowed
+    event = "rcl_interfaces/msg/ParameterEvent"
+    assert [rules.leave("ros1", side, "/parameter_events", event).allowed for side in ("ros2", "yarp")] == [True, False]
     denied = section.model_copy(update={"rules": (section.__class__.model_validate(
         {"rules": [{"topic": "/ns/**", "deny": True}]}
     ).rules)})  # fmt: skip
