@@ -1,12 +1,16 @@
 """The frames that goals name."""
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge.adapters.ros1.actions import guard
 from bridge.adapters.ros1.actions.frames import Frames, empty, frames_in, names_frames, without_slashes
+from bridge.adapters.ros1.actions.guard import FrameGuard
+from bridge.adapters.ros1.graph import Look
 from bridge.messages.definition import World
 from bridge.messages.errors import ConversionError
 from bridge.messages.parser import closure, parse_full
@@ -106,3 +110,65 @@ def test_frames_that_transforms_name():
         assert frames.trouble(frames_in(SCHEMA, goal(name))) == ""
     assert frames.trouble(frames_in(SCHEMA, goal(b""))) == "target.header.frame_id is empty"
     assert frames.trouble(frames_in(SCHEMA, goal(b"map", [], b""))) == "", "a header that nobody uses"
+
+
+class Ear:
+    def close(self):
+        """Nothing to close."""
+
+
+class Side:
+    """A guard, the network that it hears, and its clock."""
+
+    def __init__(self, monkeypatch, *, check=True) -> None:
+        self.now, self.heard = 100.0, {}
+        monkeypatch.setattr(guard.time, "monotonic", lambda: self.now)
+
+        def hear(topic, _type, deliver, suffix) -> Ear:
+            assert suffix, "a route of the topic has a connection of its own"
+            self.heard[topic] = deliver
+            return Ear()
+
+        self.guard = FrameGuard(SimpleNamespace(hear=hear, check_frames=check))
+        types = {"/tf": "tf2_msgs/TFMessage", "/old": "tf/tfMessage", "/other": "std_msgs/String"}
+        self.guard.seen(Look("run", "net", types=types))
+
+    def check(self, frame):
+        return self.guard.check(SCHEMA, goal(frame))[1]
+
+
+def test_a_guard_waits_until_it_knows(monkeypatch):
+    side = Side(monkeypatch)
+    assert side.heard == {}, "nobody sends goals"
+    side.guard.open("me")
+    assert set(side.heard) == {"/tf", "/old"}
+    assert side.check(b"map") is None
+    side.now += 5.0
+    assert side.check(b"map") is None
+    side.heard["/tf"](transforms((b"map", b"odom")), "", None)
+    assert (side.check(b"map"), side.check(b"mpa")) == ("", None)
+    side.now += guard.KNOW_SECONDS + 0.1
+    assert side.check(b"map") == ""
+    assert "mpa" in side.check(b"mpa")
+    side.guard.report("/act", "why")
+    assert side.guard.warnings() == ["/act: a goal was rejected: why"]
+    side.now += 100.0
+    assert side.guard.warnings() == []
+
+
+def test_a_side_without_transforms_lets_all_frames_through(monkeypatch):
+    side = Side(monkeypatch)
+    side.guard.open("me")
+    side.now += guard.SILENT_SECONDS + 0.1
+    assert side.check(b"mpa") == ""
+    bare = Side(monkeypatch)
+    bare.guard.open("me")
+    bare.guard.seen(Look("run", "net"))
+    assert bare.check(b"mpa") == "", "there are no topics with transforms"
+
+
+def test_frames_are_left_alone_where_that_is_wanted(monkeypatch):
+    side = Side(monkeypatch, check=False)
+    side.guard.open("me")
+    assert side.heard == {}
+    assert side.guard.check(SCHEMA, goal(b"/mpa")) == (goal(b"/mpa"), "")

@@ -18,6 +18,9 @@ _log = logging.getLogger(__name__)
 KNOW_SECONDS = 2.0
 """How long transforms are heard before a frame that none of them names is held not to be there."""
 
+SILENT_SECONDS = 10.0
+"""How long the first one is waited for where there are topics for them; then every frame is let through."""
+
 _WARN_SECONDS = 60.0
 _MAX_TOPICS = 100
 
@@ -35,14 +38,14 @@ class FrameGuard:
         self._topics: frozenset[str] = frozenset()
         self._ears: dict[str, Ear] = {}
         self._frames = Frames()
-        self._since = float("inf")
+        self._opened = self._heard = float("inf")
         self._reports: deque[tuple[float, str]] = deque(maxlen=10)
 
     def open(self, user: object) -> None:
         """Somebody's goals are to be judged."""
         with self._lock:
             if not self._users:
-                self._since, self._frames = time.monotonic(), Frames()
+                self._opened, self._heard, self._frames = time.monotonic(), float("inf"), Frames()
             self._users.add(user)
         self._follow()
 
@@ -69,6 +72,8 @@ class FrameGuard:
 
     def _on_transforms(self, payload: bytes, _source: str, _time: int | None) -> None:
         self._frames.learn(payload)
+        if self._frames:
+            self._heard = min(self._heard, time.monotonic())
 
     def check(self, schema: Schema, body: bytes) -> tuple[bytes, str | None]:
         """Judge a goal.
@@ -84,7 +89,7 @@ class FrameGuard:
             return body, ""
         body = without_slashes(body, frames_in(schema, body))
         trouble = self._frames.trouble(frames_in(schema, body)) if self._topics else ""
-        if trouble and time.monotonic() < self._since + KNOW_SECONDS:
+        if trouble and time.monotonic() < min(self._heard + KNOW_SECONDS, self._opened + SILENT_SECONDS):
             return body, None
         return body, trouble if self._frames else ""
 
