@@ -122,7 +122,7 @@ class Side:
 
     def __init__(self, monkeypatch, *, check=True) -> None:
         self.now, self.heard = 100.0, {}
-        monkeypatch.setattr(guard.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(guard, "time", SimpleNamespace(monotonic=lambda: self.now))
 
         def hear(topic, _type, deliver, suffix) -> Ear:
             assert suffix, "a route of the topic has a connection of its own"
