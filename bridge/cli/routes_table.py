@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from bridge.cli.text import clean, duration, milliseconds, rate, side_name
+from bridge.cli.text import clean, duration, is_number, milliseconds, rate, side_name
 
 Document = Mapping[str, Any]
 """One worker's status document: what it answers to the verb ``status``."""
@@ -79,16 +79,22 @@ def drops_text(route: Document) -> str:
     return ", ".join(f"{clean(reason)} {count}" for reason, count in counts if count) or "-"
 
 
+def _call_text(route: Document) -> str:
+    """Calls of a service that have no reply, or none yet."""
+    counts = {name: route.get(name) for name in ("pending", "errors", "abandoned")}
+    return ", ".join(f"{name} {count}" for name, count in counts.items() if is_number(count) and count)
+
+
 def _cells(document: Document, route: Document) -> Sequence[Text]:
     latency = route.get("latency_ms")
     late = latency if isinstance(latency, dict) else {}
-    drops = drops_text(route)
+    drops = ", ".join(text for text in (_call_text(route), drops_text(route)) if text not in ("", "-")) or "-"
     state = clean(route.get("state", ""))
     return [
         Text(arrow(document.get("side"), route.get("direction"))),
         Text(topic_text(route), style="bold"),
         Text(clean(route.get("type", "")), style="cyan"),
-        Text(clean(route.get("priority", ""))),
+        Text(clean(route.get("priority") or ("action" if route.get("action") else route.get("kind", "")))),
         Text(rate(route.get("rate"))),
         Text(milliseconds(late.get("p50"))),
         Text(milliseconds(late.get("p99"))),

@@ -22,6 +22,7 @@ _PERIOD = 1.0
 _OK, _WARN, _ERROR = 0, 1, 2
 _HEADER = struct.Struct("<III")  # sequence number, seconds, nanoseconds
 _COUNT, _LEVEL = struct.Struct("<I"), struct.Struct("<B")
+_OF_CALLS = ("type", "calls", "replies", "errors", "abandoned", "pending")
 ROUTES_AT_ONCE = 100
 """Routes told of in one message; more take turns, so that telling of a thousand delays no message that crosses."""
 
@@ -91,7 +92,8 @@ class Diagnostics:
         counts = route["drops"]
         level = _ERROR if counts["bad"] or counts["large"] else _WARN if counts["lost"] or counts["queue"] else _OK
         arrow = "to the hub" if route["direction"] == "in" else "from the hub"
-        values = {"type": route["type"], "priority": route["priority"], "messages": route["messages"]}
+        of = _OF_CALLS if route["kind"] == "service" else ("type", "priority", "messages")
+        values = {name: route[name] for name in of}
         values |= {"bytes": route["bytes"], "rate": route["rate"], "age": route["age"], **drops}
         return self._status(f"{route['topic']} {arrow}", level, route["error"] or route["state"], values)
 
