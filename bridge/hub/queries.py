@@ -25,7 +25,7 @@ MAX_ERROR = 4096
 """Bytes of an error's text."""
 
 _CLOSED = "the call of {name} was ended: its client was closed"
-_REFUSED = "; or a door between the machines refuses this call, see 'midspan explain {name}'"
+_REFUSED = "; or a door between the machines refuses this call (hub.open.trusted)"
 _AT_ONCE = 0.2
 """Seconds within which a query that no server took has ended; a longer one was with a server."""
 
@@ -206,7 +206,7 @@ class Queries:
             if now - self._since < _SETTLING:
                 self._later(asking)
                 return
-            text += _REFUSED.format(name=self.name)
+            text += _REFUSED
         self._end(number, CallError(text))
 
     def _later(self, asking: _Asking) -> None:
