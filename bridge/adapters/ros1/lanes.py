@@ -21,8 +21,8 @@ class Lanes:
     """
 
     def __init__(self, fresh: int = 48, doubtful: int = 4) -> None:
-        self._fresh = _Lane("midspan-ros1-fresh", fresh)
-        self._doubtful = _Lane("midspan-ros1-doubtful", doubtful)
+        self._fresh = Lane("midspan-ros1-fresh", fresh)
+        self._doubtful = Lane("midspan-ros1-doubtful", doubtful)
         self._lock = threading.Lock()
         self._failed: set[str] = set()
 
@@ -58,7 +58,7 @@ class Lanes:
             return address in self._failed
 
 
-class _Lane:
+class Lane:
     """Threads that come with the work, up to a limit, and go when there is none."""
 
     def __init__(self, name: str, limit: int) -> None:
@@ -70,6 +70,7 @@ class _Lane:
         self._stopped = False
 
     def submit(self, job: Job) -> None:
+        """Run a job as soon as a thread is free."""
         with self._condition:
             if self._stopped:
                 return
@@ -81,6 +82,7 @@ class _Lane:
                 self._condition.notify()
 
     def stop(self) -> None:
+        """Run nothing more."""
         with self._condition:
             self._stopped = True
             self._jobs.clear()

@@ -28,6 +28,7 @@ from rospy.impl.masterslave import ROSHandler
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.handshake import Header, encode, read_header
+from bridge.adapters.ros1.lanes import Lane
 from bridge.adapters.ros1.links import FIELD
 from bridge.adapters.ros1.service_server import Servers
 
@@ -152,6 +153,7 @@ class Node:
         # rosgraph makes every logger of the process one of its own kind; ours stay as they are.
         logging.setLoggerClass(logging.Logger)
         self._greetings = threading.BoundedSemaphore(_MAX_GREETINGS)
+        self._greeters = Lane("midspan-ros1-greet", _MAX_GREETINGS)
         self._turned_away: dict[tuple[str, str], str] = {}
         self._visit, self._servers = visit, servers
         self.rename(name)
@@ -218,6 +220,7 @@ class Node:
         registration.get_topic_manager().close_all()
         rospy.core.signal_shutdown("midspan stops")
         self._server.shutdown("midspan stops")
+        self._greeters.stop()
 
     def _await_uri(self) -> str:
         end = time.monotonic() + 5.0
@@ -245,7 +248,7 @@ class Node:
         if not self._greetings.acquire(blocking=False):
             sock.close()
             return
-        threading.Thread(target=self._greeting, args=(sock, address), name="midspan-ros1-greet", daemon=True).start()
+        self._greeters.submit(lambda: self._greeting(sock, address))
 
     def _greeting(self, plain: socket.socket, address: Any) -> None:
         sock = DeadlineSocket(fileno=plain.detach())
