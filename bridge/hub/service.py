@@ -16,17 +16,17 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from threading import Lock
 
 import zenoh
 
 from bridge.hub import attachment
-from bridge.hub.call import Abandon, Call, CallError
+from bridge.hub.answers import Answers, Asked
+from bridge.hub.call import Call, CallError
 from bridge.hub.errands import Errands
 from bridge.hub.errors import WireError
 from bridge.hub.graph import HubGraph
 from bridge.hub.liveliness import gid_of
-from bridge.hub.queries import LEFT, PRIORITY, Queries, reply_error
+from bridge.hub.queries import PRIORITY, Queries
 from bridge.hub.receiving import keep_thread_state
 
 _log = logging.getLogger(__name__)
@@ -34,22 +34,19 @@ _log = logging.getLogger(__name__)
 _MAX_CALLERS = 10_000
 
 
-class _Asked:
-    """One request that waits for its reply."""
+class _Asked(Asked):
+    """One request, and who waits for its reply."""
 
     def __init__(self, query: zenoh.Query, caller: tuple[bytes, int] | None, *, seen: bool) -> None:
-        self.query = query
+        super().__init__(query)
         self.caller = caller
         self.seen = seen
-        self.abandon: Abandon | None = None
-        self.left = False
 
 
-class HubServer:
+class HubServer(Answers):
     """Serves one service on the hub; made by `bridge.hub.session.Hub.server`.
 
     Attributes:
-        name: the service's.
         gid: the 16 bytes that name the server.
     """
 
@@ -64,88 +61,61 @@ class HubServer:
         call: Call,
         on_close: Callable[[HubServer], None],
     ) -> None:
-        self.name = name
         self.gid = gid_of(token)
-        self._key, self._limit, self._call, self._graph, self._on_close = key, limit, call, graph, on_close
-        self._lock = Lock()
-        self._waiting: dict[_Asked, None] = {}
+        self._graph, self._on_close = graph, on_close
         self._callers: dict[tuple[bytes, int], _Asked] = {}
         self._unwatch: Callable[[], None] | None = None
-        self._closed = False
-        remote = zenoh.Locality.REMOTE
+        super().__init__(session, key, name, limit, call, complete=True)
         self._leaving = session.declare_subscriber(
-            abandon_key(key), zenoh.handlers.Callback(self._heard_leaving, indirect=False), allowed_origin=remote
-        )
-        self._queryable = session.declare_queryable(
-            key, zenoh.handlers.Callback(self._asked, indirect=False), complete=True, allowed_origin=remote
+            abandon_key(key),
+            zenoh.handlers.Callback(self._heard_leaving, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
         )
         self._withdraw = graph.announce(token)
 
     def close(self) -> None:
         """Tell all who wait that the server left, and leave the graph. Safe to call twice."""
-        with self._lock:
-            closed, self._closed = self._closed, True
-            waiting = list(self._waiting)
-        if closed:
-            return
+        if self.end():
+            self._leaving.undeclare()  # type: ignore[no-untyped-call]
+            self._on_close(self)
+
+    def closing(self) -> None:
+        """Leave the graph."""
         self._withdraw()
-        for asked in waiting:
-            self._leave(asked)
-            self._answer(asked, CallError(LEFT.format(name=self.name)))
-        self._queryable.undeclare()  # type: ignore[no-untyped-call]
-        self._leaving.undeclare()  # type: ignore[no-untyped-call]
-        self._on_close(self)
 
-    def _asked(self, query: zenoh.Query) -> None:
-        """Begin a call; runs on zenoh's receiving thread."""
-        keep_thread_state()
-        asked = _Asked(query, None, seen=False)
+    def asked(self, query: zenoh.Query) -> _Asked:
+        """See `Answers.asked`; a plain zenoh program needs no attachment."""
+        attached = query.attachment
+        if attached is None:
+            return _Asked(query, None, seen=False)
         try:
-            request = self._read(asked)
-        except CallError as err:
-            reply_error(query, err)
-            return
-        with self._lock:
-            closed = self._closed
-            if not closed:
-                self._remember(asked)
-        if closed:
-            reply_error(query, CallError(LEFT.format(name=self.name)))
-            return
-        abandon = self._call(request, partial(self._answer, asked))
-        with self._lock:
-            asked.abandon = abandon
-            left = asked.left
-        if left:
-            abandon()
+            number, _time, gid = attachment.unpack(attached.to_bytes())
+        except WireError as err:
+            raise CallError(str(err)) from None
+        return _Asked(query, (gid, number), seen=bool(self._graph.zid_of(gid)))
 
-    def _read(self, asked: _Asked) -> bytes:
-        """The request's bytes; raises `CallError` where it cannot be taken."""
-        payload, attached = asked.query.payload, asked.query.attachment
-        if payload is not None and len(payload) > self._limit:
-            msg = f"the request has {len(payload)} bytes, limits.message allows {self._limit}"
-            raise CallError(msg)
-        if attached is not None:  # a plain zenoh program needs none
-            try:
-                number, _time, gid = attachment.unpack(attached.to_bytes())
-            except WireError as err:
-                raise CallError(str(err)) from None
-            asked.caller = (gid, number)
-            asked.seen = bool(self._graph.zid_of(gid))
-        return b"" if payload is None else payload.to_bytes()
+    def attached(self, asked: Asked) -> bytes | None:
+        """The request's number and GID again."""
+        assert isinstance(asked, _Asked)
+        if asked.caller is None:
+            return None
+        gid, number = asked.caller
+        return attachment.pack(number, time.time_ns(), gid)
 
-    def _remember(self, asked: _Asked) -> None:
-        self._waiting[asked] = None
+    # -- callers that leave --------------------------------------------------------------------------------------------
+
+    def remembered(self, asked: Asked) -> None:
+        """See `Answers.remembered`."""
+        assert isinstance(asked, _Asked)
         if asked.caller is not None and len(self._callers) < _MAX_CALLERS:
             self._callers[asked.caller] = asked
         if self._unwatch is None:
             self._unwatch = self._graph.watch(self._look_for_callers)
 
-    def _forget(self, asked: _Asked) -> bool:
-        """Whether the request was still waiting."""
+    def forgotten(self, asked: Asked) -> None:
+        """See `Answers.forgotten`."""
+        assert isinstance(asked, _Asked)
         with self._lock:
-            waited = asked in self._waiting
-            self._waiting.pop(asked, None)
             if asked.caller is not None and self._callers.get(asked.caller) is asked:
                 del self._callers[asked.caller]
             unwatch = None
@@ -153,27 +123,6 @@ class HubServer:
                 unwatch, self._unwatch = self._unwatch, None
         if unwatch is not None:
             unwatch()
-        return waited
-
-    def _answer(self, asked: _Asked, result: bytes | CallError) -> None:
-        if not self._forget(asked):
-            return
-        if isinstance(result, bytes) and len(result) > self._limit:
-            result = CallError(f"the reply has {len(result)} bytes, limits.message allows {self._limit}")
-        if isinstance(result, CallError):
-            reply_error(asked.query, result)
-            return
-        attached = None
-        if asked.caller is not None:
-            gid, number = asked.caller
-            attached = attachment.pack(number, time.time_ns(), gid)
-        try:
-            with asked.query as query:
-                query.reply(self._key, result, attachment=attached)
-        except zenoh.ZError as err:
-            _log.debug("%s: nobody waits for the reply any more: %s", self.name, err)
-
-    # -- callers that leave --------------------------------------------------------------------------------------------
 
     def _heard_leaving(self, sample: zenoh.Sample) -> None:
         keep_thread_state()
@@ -184,30 +133,19 @@ class HubServer:
         with self._lock:
             asked = self._callers.get((gid, number))
         if asked is not None:
-            self._abandon(asked)
+            self.abandoned(asked)
 
     def _look_for_callers(self) -> None:
         """The graph changed: those whose token was there, and is no more, have gone."""
         with self._lock:
-            waiting = [asked for asked in self._waiting if asked.caller is not None]
+            waiting = [asked for asked in self._waiting if isinstance(asked, _Asked)]
         for asked in waiting:
-            assert asked.caller is not None
+            if asked.caller is None:
+                continue
             here = bool(self._graph.zid_of(asked.caller[0]))
             if asked.seen and not here:
-                self._abandon(asked)
+                self.abandoned(asked)
             asked.seen = here
-
-    def _abandon(self, asked: _Asked) -> None:
-        if self._forget(asked):
-            asked.query.drop()  # type: ignore[no-untyped-call]
-            self._leave(asked)
-
-    def _leave(self, asked: _Asked) -> None:
-        with self._lock:
-            asked.left = True
-            abandon = asked.abandon
-        if abandon is not None:
-            abandon()
 
 
 class HubClient(Queries):

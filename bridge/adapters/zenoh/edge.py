@@ -21,6 +21,7 @@ from bridge.adapters.zenoh.mark import new_zid
 from bridge.adapters.zenoh.neighbours import Neighbours, remember
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
+from bridge.hub.errands import Errands
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.origin import Origin
 from bridge.hub.qos import Qos
@@ -53,10 +54,12 @@ class KeyEdge(Edge):
 
     def __init__(self, config: Config, dialect: Dialect, registry: Registry, state: Path, scope: str) -> None:
         self.config, self.dialect, self.registry = config, dialect, registry
+        self.limit = config.limits.message_bytes
         self._scope = scope
         self._file = state / "zenoh" / f"{self.side}-{quote(scope, safe='')}"
         self._lock = threading.Lock()
         self._parts: set[Part] = set()
+        self.errands = Errands(f"midspan-{self.side}-errands")
         self._lanes: Lanes | None = None
         self._listener: EdgeListener | None = None
         self._session: zenoh.Session | None = None
@@ -96,6 +99,7 @@ class KeyEdge(Edge):
         self.closing()
         if self._neighbours is not None:
             self._neighbours.close()
+        self.errands.close()
         session.close()  # type: ignore[no-untyped-call]
         if self._lanes is not None:
             self._lanes.stop()

@@ -1,36 +1,54 @@
 """The edge of the ros2dds dialect: keys as zenoh-plugin-ros2dds makes them.
 
-A topic's key is its ROS 2 name without the leading slash, behind the namespace of its bridge; the payload is CDR,
-without an attachment. Transient-local publishers are zenoh's advanced publishers. Topics are told by liveliness
-tokens (`bridge.adapters.zenoh.ros2dds_tokens`); those of actions are not told (zenoh-plugin-ros2dds of August 2026:
-``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``).
+A topic's or service's key is its ROS 2 name without the leading slash, behind the namespace of its bridge; the payload
+is CDR, on topics without an attachment. Transient-local publishers are zenoh's advanced publishers, servers are
+queryables. All are told by liveliness tokens (`bridge.adapters.zenoh.ros2dds_tokens`), an action as a whole
+(zenoh-plugin-ros2dds of August 2026: ``src/ros2_utils.rs``, ``route_publisher.rs``, ``route_subscriber.rs``,
+``route_service_srv.rs``, ``route_service_cli.rs``).
 """
 
 from __future__ import annotations
 
-import re
+import secrets
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
 import zenoh
 
-from bridge.adapters.base import Deliver, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
+from bridge.adapters.base import (
+    Deliver,
+    EdgeCaller,
+    EdgePublisher,
+    EdgeServer,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+)
 from bridge.adapters.zenoh.edge import KeyEdge, configured
+from bridge.adapters.zenoh.key_caller import KeyCaller
+from bridge.adapters.zenoh.key_server import KeyServer
+from bridge.adapters.zenoh.ros2dds_announcer import Announcer
 from bridge.adapters.zenoh.ros2dds_graph import Graph, endpoint_id
-from bridge.adapters.zenoh.ros2dds_publisher import Announcer, Ros2ddsPublisher
+from bridge.adapters.zenoh.ros2dds_publisher import Ros2ddsPublisher
 from bridge.adapters.zenoh.ros2dds_subscription import LatchedSubscription
 from bridge.adapters.zenoh.subscription import KeySubscription
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
+from bridge.hub.call import Abandon, Call, CallError, Done
 from bridge.hub.qos import Qos
-from bridge.messages.conversion import Conversion, SideType
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
+from bridge.messages.refusals import refusal
 from bridge.messages.registry import Registry
 from bridge.routing.route import joint_qos
 from bridge.routing.static_tf import TF_TYPE
 
-_ACTION = re.compile(r".*/_action/(?:feedback|status)")
+_EMPTY = b"\0\1\0\0\0"
+"""A message without fields in CDR; it has one byte, as every structure of ROS 2 has."""
+
+_REQUEST_ID = b"rqh"
 PLAIN = "plain program"
 """Who publishes on a key that the configuration names and no bridge announces."""
 
@@ -39,6 +57,7 @@ class Ros2ddsEdge(KeyEdge):
     """Joins the bridges of the ros2dds dialect; ``json_keys`` are keys of this network that carry JSON."""
 
     side: ClassVar[str] = "zenoh_ros2dds"
+    services: ClassVar[bool] = True
 
     def __init__(
         self, config: Config, dialect: Dialect, registry: Registry, state: Path, json_keys: frozenset[str] = frozenset()
@@ -113,6 +132,16 @@ class Ros2ddsEdge(KeyEdge):
         """The same bytes, checked: the plugin writes them to DDS as they are."""
         return self._same(type_name, type_hash)
 
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """The same bytes, checked; no token tells the hash of a service's type."""
+        return self.service_from_hub(endpoint.type, "")
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """The same bytes, checked."""
+        known = self.registry.service_ros2(type_name, type_hash)
+        request, response = self.registry.hub_service_check(type_name, type_hash)
+        return ServiceConversion(known, known, request, request, response, response)
+
     def _same(self, type_name: str, type_hash: str) -> Conversion:
         known = self.registry.ros2(type_name)
         if type_hash and type_hash != known.type_id:
@@ -178,10 +207,42 @@ class Ros2ddsEdge(KeyEdge):
         return publisher
 
     def _tell(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
-        if _ACTION.fullmatch(key):
-            return lambda: None
         assert self._announcer is not None
         return self._announcer.tell(kind, key, side_type, qos)
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """Call a key; each request has an id, as those of the plugin's clients."""
+        key = self._key(name)
+        client = secrets.token_bytes(8)
+
+        def request_id(number: int) -> bytes:
+            return _REQUEST_ID + client + number.to_bytes(8, "little") + b"\1"
+
+        withdraw = self._tell(Kind.CLIENT, key, side_type, Qos())
+        part = KeyCaller(self.session, key, name, self.limit, self.errands, withdraw, self.drop, request_id)
+        self.keep(part)
+        return part
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve a key, and tell the bridges.
+
+        A bridge passes over zenoh's error reply, since DDS has none: its client waits. An action's clients get the
+        reply that says no, where there is one.
+        """
+        key = self._key(name)
+        request, _ = self.registry.service_schemas(side_type.name, side_type.type_id)
+        nothing = None if request.root.fields else _EMPTY
+        refuse = refusal(self.registry, side_type.name, side_type.type_id)
+
+        def ask(data: bytes, done: Done) -> Abandon:
+            if refuse is None:
+                return call(data, done)
+            return call(data, lambda result: done(refuse() if isinstance(result, CallError) else result))
+
+        withdraw = self._tell(Kind.SERVER, key, side_type, Qos())
+        part = KeyServer(self.session, key, name, self.limit, ask, withdraw, self.drop, nothing)
+        self.keep(part)
+        return part
 
 
 def _told_depth(graph: Graph, key: str) -> int:

@@ -1,4 +1,4 @@
-"""The topics that bridges of the ros2dds dialect announce on a network."""
+"""The topics, services and actions that bridges of the ros2dds dialect announce on a network."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Graph:
         self._own = str(session.zid())
         self._prefix, self._changed = prefix, changed
         self._lock = threading.Lock()
-        self._tokens: dict[str, Token] = {}
+        self._tokens: dict[str, tuple[Token, ...]] = {}
         self._bridges: set[str] = set()
         self._publishers: dict[str, dict[str, Token]] = {}
         self._refused = 0
@@ -41,9 +41,9 @@ class Graph:
         )
 
     def endpoints(self) -> list[Endpoint]:
-        """Every topic of every bridge but Midspan's own kind's; of a topic told twice the newest counts."""
+        """Every topic and service of every other bridge; of one told twice the newest counts."""
         with self._lock:
-            known = list(self._tokens.values())
+            known = [token for tokens_ in self._tokens.values() for token in tokens_]
         found: dict[tuple[str, Kind], Endpoint] = {}
         for token in known:
             made_by = MadeBy.MIDSPAN if is_marked(token.zid) else MadeBy.NATIVE
@@ -86,7 +86,7 @@ class Graph:
             return
         put = sample.kind == zenoh.SampleKind.PUT
         try:
-            token = tokens.parse(text)
+            told = tokens.parse(text)
         except WireError as err:
             if put:
                 level = logging.DEBUG if self._refused else logging.WARNING
@@ -95,9 +95,9 @@ class Graph:
             return
         with self._lock:
             self._count(zid, text, put=put)
-            if token is None or not token.key.startswith(self._prefix) or token.key == self._prefix:
+            if not told or not all(token.key.startswith(self._prefix) for token in told):
                 return
-            changed = self._put(text, token) if put else self._delete(text, token)
+            changed = self._put(text, told) if put else self._delete(text)
         if changed:
             self._changed()
 
@@ -109,23 +109,24 @@ class Graph:
             else:
                 self._bridges.discard(zid)
 
-    def _put(self, text: str, token: Token) -> bool:
+    def _put(self, text: str, told: tuple[Token, ...]) -> bool:
         if len(self._tokens) >= _MAX_TOKENS:
             return False
-        self._tokens[text] = token
-        if token.kind is Kind.PUBLISHER and not is_marked(token.zid):
-            self._publishers.setdefault(token.key, {})[token.zid] = token
+        self._tokens[text] = told
+        for token in told:
+            if token.kind is Kind.PUBLISHER and not is_marked(token.zid):
+                self._publishers.setdefault(token.key, {})[token.zid] = token
         return True
 
-    def _delete(self, text: str, token: Token) -> bool:
-        if self._tokens.pop(text, None) is None:
-            return False
-        at_key = self._publishers.get(token.key, {})
-        if at_key.get(token.zid) == token:
-            del at_key[token.zid]
-            if not at_key:
-                del self._publishers[token.key]
-        return True
+    def _delete(self, text: str) -> bool:
+        told = self._tokens.pop(text, ())
+        for token in told:
+            at_key = self._publishers.get(token.key, {})
+            if at_key.get(token.zid) == token:
+                del at_key[token.zid]
+                if not at_key:
+                    del self._publishers[token.key]
+        return bool(told)
 
 
 def endpoint_id(zid: str, key: str) -> str:

@@ -1,4 +1,4 @@
-"""A publisher in the ros2dds dialect, and the tokens by which its bridges learn of our topics."""
+"""A publisher in the ros2dds dialect."""
 
 from __future__ import annotations
 
@@ -10,11 +10,8 @@ from typing import Protocol
 import zenoh
 from zenoh import ext
 
-from bridge.adapters.base import Kind
-from bridge.adapters.zenoh.ros2dds_tokens import Token, alive_key, token_key
 from bridge.adapters.zenoh.sink import PlainSink, priority
 from bridge.hub.qos import Qos
-from bridge.messages.conversion import SideType
 
 
 class _Sink(Protocol):
@@ -46,56 +43,6 @@ class _LatchedSink:
 
     def close(self) -> None:
         del self._publisher  # not `undeclare`: see `bridge.hub.publisher`
-
-
-class Announcer:
-    """Our own tokens: one for each key and kind, with the QoS of the most that we offer or ask for there.
-
-    The plugin takes up a route when the first token of a session for a key comes, and drops it when any of them goes;
-    so the old token goes before one with another QoS comes (its ``src/routes_mgr.rs``).
-    """
-
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
-        self._zid = str(session.zid())
-        self._lock = threading.Lock()
-        self._wanted: dict[tuple[Kind, str], list[Token]] = {}
-        self._told: dict[tuple[Kind, str], tuple[Token, zenoh.LivelinessToken]] = {}
-        self._alive = session.liveliness().declare_token(alive_key(self._zid))
-
-    def tell(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
-        """Announce a topic until the returned function is called."""
-        token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
-        place = kind, key
-        with self._lock:
-            self._wanted.setdefault(place, []).append(token)
-            self._settle(place)
-
-        def withdraw() -> None:
-            with self._lock:
-                self._wanted[place].remove(token)
-                self._settle(place)
-
-        return withdraw
-
-    def _settle(self, place: tuple[Kind, str]) -> None:
-        wanted = self._wanted[place]
-        token = max(wanted, key=lambda t: (t.qos.latched, t.qos.depth)) if wanted else None
-        told = self._told.get(place)
-        if told is not None and told[0] == token:
-            return
-        if told is not None:
-            del self._told[place]
-            told[1].undeclare()  # type: ignore[no-untyped-call]
-        if token is None:
-            del self._wanted[place]
-        else:
-            self._told[place] = token, self._session.liveliness().declare_token(token_key(token))
-
-    def close(self) -> None:
-        """Leave."""
-        with self._lock, contextlib.suppress(zenoh.ZError):
-            self._alive.undeclare()  # type: ignore[no-untyped-call]
 
 
 class Ros2ddsPublisher:

@@ -1,10 +1,12 @@
-"""Liveliness tokens of zenoh-plugin-ros2dds, by which bridges of its kind tell each other their topics.
+"""Liveliness tokens of zenoh-plugin-ros2dds, by which bridges of its kind tell each other topics, services and actions.
 
 ``@/<zid>/@ros2_lv`` says that a bridge lives. ``@/<zid>/@ros2_lv/MP/<key>/<type>/<qos>`` is a topic that its ROS 2
 nodes publish, ``MS`` one that they subscribe to; in key and type a slash is written ``§``. The QoS is ``<K where
 keyed>:<reliability>:<durability>:<history>,<depth>[:<user data>]`` with DDS's numbers, an empty field is DDS's
-default, and the user data is ROS 2's own ``typehash=RIHS01_<hex>;`` (since Iron). Read in zenoh-plugin-ros2dds,
-``src/liveliness_mgt.rs``, of August 2026.
+default, and the user data is ROS 2's own ``typehash=RIHS01_<hex>;`` (since Iron). ``SS/<key>/<type>`` is a service that
+its nodes serve, ``SC`` one that they call; neither tells a hash. ``AS`` and ``AC`` are a whole action, whose services
+and topics have no tokens of their own. Read in zenoh-plugin-ros2dds, ``src/liveliness_mgt.rs``, ``ros2_utils.rs``,
+``route_action_srv.rs`` and ``route_action_cli.rs``, of August 2026.
 """
 
 from __future__ import annotations
@@ -15,24 +17,33 @@ from dataclasses import dataclass
 from bridge.adapters.base import Kind
 from bridge.hub.errors import WireError
 from bridge.hub.qos import Durability, History, Qos, Reliability
+from bridge.messages.parts import CANCEL_GOAL
 
 ALL = "@/*/@ros2_lv/**"
 _SLASH = "§"
-_LETTERS = {Kind.PUBLISHER: "MP", Kind.SUBSCRIPTION: "MS"}
-_KINDS = {letters: kind for kind, letters in _LETTERS.items()}
-_OTHER = frozenset({"SS", "SC", "AS", "AC"})
+_TOPICS = {"MP": Kind.PUBLISHER, "MS": Kind.SUBSCRIPTION}
+_SERVICES = {"SS": Kind.SERVER, "SC": Kind.CLIENT}
+_ACTIONS = {"AS": (Kind.SERVER, Kind.PUBLISHER), "AC": (Kind.CLIENT, Kind.SUBSCRIPTION)}
+_LETTERS = {kind: letters for letters, kind in (_TOPICS | _SERVICES).items()}
+_ACTION_LETTERS = {Kind.SERVER: "AS", Kind.CLIENT: "AC"}
+_MIDDLES = {"M": "msg", "S": "srv", "A": "action"}
 _MAX_TOKEN = 4096
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
-_TYPE = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+_TYPE = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+_PART = re.compile(r"(.+)/_action/(?:send_goal|cancel_goal|get_result|feedback|status)")
 _HASH = re.compile(r"(?:^|;)typehash=(RIHS[0-9]{2}_[0-9a-f]{1,128})(?:;|$)")
 
 # DDS's numbers (ddsi, dds_reliability_kind and so on)
 _RELIABLE, _TRANSIENT_LOCAL, _KEEP_ALL = 1, 1, 1
 
 
+_FEEDBACK = Qos(Reliability.RELIABLE, depth=10)
+_STATUS = Qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, depth=1)
+
+
 @dataclass(frozen=True, slots=True)
 class Token:
-    """A topic of a bridge; ``key`` is the zenoh key of its samples, ``type_hash`` "" where it is not told."""
+    """A topic or service of a bridge; ``key`` is its zenoh key, ``type_hash`` "" where it is not told."""
 
     zid: str
     kind: Kind
@@ -48,9 +59,21 @@ def alive_key(zid: str) -> str:
 
 
 def token_key(token: Token) -> str:
-    """The key of a topic's token."""
-    head = f"{alive_key(token.zid)}/{_LETTERS[token.kind]}"
-    return f"{head}/{_escape(token.key)}/{_escape(token.type)}/{_qos_text(token.qos, token.type_hash)}"
+    """The key of the token of a topic or a service."""
+    head = f"{alive_key(token.zid)}/{_LETTERS[token.kind]}/{_escape(token.key)}/{_escape(token.type)}"
+    return head if token.kind in _SERVICES.values() else f"{head}/{_qos_text(token.qos, token.type_hash)}"
+
+
+def action_key(part: Token) -> str:
+    """The key of the token of the action that a service is the goals' or the results' of."""
+    action, type_name = action_of(part.key), part.type.rpartition("_")[0]
+    return f"{alive_key(part.zid)}/{_ACTION_LETTERS[part.kind]}/{_escape(action)}/{_escape(type_name)}"
+
+
+def action_of(key: str) -> str:
+    """The key of the action that a topic or a service is a part of; "" where it is none."""
+    found = _PART.fullmatch(key)
+    return found.group(1) if found else ""
 
 
 def zid_of(key: str) -> str:
@@ -58,8 +81,8 @@ def zid_of(key: str) -> str:
     return key.split("/", 2)[1]
 
 
-def parse(key: str) -> Token | None:
-    """Read a token; None for one that is not about a topic (services, actions, the bridge itself).
+def parse(key: str) -> tuple[Token, ...]:
+    """Read a token: the topic or service that it tells of, or all five of an action; none for the bridge itself.
 
     Raises:
         WireError: it is none of the plugin's, or its key or type is no name of ROS 2.
@@ -68,21 +91,40 @@ def parse(key: str) -> Token | None:
     if len(key) > _MAX_TOKEN or parts[0] != "@" or len(parts) < 3 or parts[2] != "@ros2_lv":
         msg = "no token of the ros2dds plugin"
         raise WireError(msg)
-    if len(parts) == 3 or parts[3] in _OTHER:
-        return None
-    kind = _KINDS.get(parts[3])
-    if kind is None or len(parts) != 7:
-        msg = f"token of {len(parts)} parts of the kind {parts[3][:20]!r}"
+    if len(parts) == 3:
+        return ()
+    letters = parts[3]
+    if letters not in (_TOPICS | _SERVICES | _ACTIONS) or len(parts) != (7 if letters in _TOPICS else 6):
+        msg = f"token of {len(parts)} parts of the kind {letters[:20]!r}"
         raise WireError(msg)
-    topic, type_name = _unescape(parts[4]), _unescape(parts[5])
-    if not _KEY.fullmatch(topic):
-        msg = f"{topic[:80]!r} is no ROS 2 name"
+    zid, name, type_name = parts[1], _unescape(parts[4]), _unescape(parts[5])
+    if not _KEY.fullmatch(name):
+        msg = f"{name[:80]!r} is no ROS 2 name"
         raise WireError(msg)
-    if not _TYPE.fullmatch(type_name):
-        msg = f"{type_name[:80]!r} is no ROS 2 message type"
+    found = _TYPE.fullmatch(type_name)
+    if found is None or found.group(1) != _MIDDLES[letters[0]]:
+        msg = f"{type_name[:80]!r} is no ROS 2 {_MIDDLES[letters[0]]} type"
         raise WireError(msg)
-    qos, type_hash = _read_qos(parts[6], kind)
-    return Token(parts[1], kind, topic, type_name, type_hash, qos)
+    if letters in _ACTIONS:
+        return _parts(zid, *_ACTIONS[letters], name, type_name)
+    if letters in _SERVICES:
+        return (Token(zid, _SERVICES[letters], name, type_name, "", Qos()),)
+    qos, type_hash = _read_qos(parts[6], _TOPICS[letters])
+    return (Token(zid, _TOPICS[letters], name, type_name, type_hash, qos),)
+
+
+def _parts(zid: str, service: Kind, topic: Kind, name: str, type_name: str) -> tuple[Token, ...]:
+    """The services and topics of an action, with the QoS that the plugin gives them."""
+    return tuple(
+        Token(zid, kind, f"{name}/_action/{part}", of_type, "", qos)
+        for kind, part, of_type, qos in (
+            (service, "send_goal", f"{type_name}_SendGoal", Qos()),
+            (service, "cancel_goal", CANCEL_GOAL, Qos()),
+            (service, "get_result", f"{type_name}_GetResult", Qos()),
+            (topic, "feedback", f"{type_name}_FeedbackMessage", _FEEDBACK),
+            (topic, "status", "action_msgs/msg/GoalStatusArray", _STATUS),
+        )
+    )
 
 
 def _escape(name: str) -> str:

@@ -10,7 +10,7 @@ from zenoh import ext
 
 from bridge.adapters.base import Kind
 from bridge.adapters.zenoh.mark import is_marked, new_zid
-from bridge.adapters.zenoh.ros2dds_tokens import Token, parse, token_key
+from bridge.adapters.zenoh.ros2dds_tokens import Token, action_key, parse, token_key
 from bridge.hub.errors import WireError
 from bridge.hub.qos import Durability, History, Qos, Reliability
 from tests.adapters.zenoh.conftest import ROS2, Place, cross
@@ -28,7 +28,7 @@ def test_tokens_are_written_as_the_plugin_writes_them() -> None:
     token = Token("ab12", Kind.PUBLISHER, "bot1/map", "nav_msgs/msg/OccupancyGrid", "RIHS01_0123", latched)
     text = "@/ab12/@ros2_lv/MP/bot1§map/nav_msgs§msg§OccupancyGrid/:1:1:0,1:typehash=RIHS01_0123;"
     assert token_key(token) == text
-    assert parse(text) == token
+    assert parse(text) == (token,)
     best_effort = Token("1", Kind.SUBSCRIPTION, "scan", "a/msg/B", "", Qos(Reliability.BEST_EFFORT, depth=5))
     assert token_key(best_effort) == "@/1/@ros2_lv/MS/scan/a§msg§B/:0:0:0,5"
 
@@ -45,8 +45,7 @@ def test_tokens_are_written_as_the_plugin_writes_them() -> None:
 )
 def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
     letters = "MP" if kind is Kind.PUBLISHER else "MS"
-    token = parse(f"@/1/@ros2_lv/{letters}/a/std_msgs§msg§String/{qos}")
-    assert token is not None
+    (token,) = parse(f"@/1/@ros2_lv/{letters}/a/std_msgs§msg§String/{qos}")
     assert (token.qos, token.type_hash) == (read, "")
 
 
@@ -62,6 +61,10 @@ def test_quality_of_service_of_tokens(qos: str, kind: Kind, read: Qos) -> None:
         "@/1/@ros2_lv/MP/§a/std_msgs§msg§String/:::",
         "@/1/@ros2_lv/MP/a/String/:::",
         "@/1/@ros2_lv/XX/a/std_msgs§msg§String/:::",
+        "@/1/@ros2_lv/SS/a/std_srvs§msg§Trigger",
+        "@/1/@ros2_lv/SS/a/std_srvs§srv§Trigger/:::",
+        "@/1/@ros2_lv/AS/a/std_srvs§srv§Trigger",
+        "@/1/@ros2_lv/AC/§a/nav2_msgs§action§NavigateToPose",
         "@/1/@other",
         "@ros2_lv/0/1/0/0/NN/%/%/node",
         "@/1/@ros2_lv/MP/a/std_msgs§msg§String/" + "1" * 5000,
@@ -72,10 +75,25 @@ def test_tokens_that_are_none(text: str) -> None:
         parse(text)
 
 
-def test_tokens_of_other_things_are_passed_over() -> None:
-    assert parse("@/1/@ros2_lv") is None
-    assert parse("@/1/@ros2_lv/SS/add/example_interfaces§srv§AddTwoInts") is None
-    assert parse("@/1/@ros2_lv/AS/go/nav2_msgs§action§NavigateToPose") is None
+def test_tokens_of_services_and_actions() -> None:
+    assert parse("@/1/@ros2_lv") == ()
+    text = "@/1/@ros2_lv/SS/bot§add/example_interfaces§srv§AddTwoInts"
+    (token,) = parse(text)
+    assert token == Token("1", Kind.SERVER, "bot/add", "example_interfaces/srv/AddTwoInts", "", Qos())
+    assert token_key(token) == text
+    assert parse(text.replace("SS", "SC"))[0].kind is Kind.CLIENT
+    text = "@/1/@ros2_lv/AS/go/nav2_msgs§action§NavigateToPose"
+    told = parse(text)
+    assert [(t.kind, t.key.removeprefix("go/_action/"), t.type, t.qos.latched) for t in told] == [
+        (Kind.SERVER, "send_goal", "nav2_msgs/action/NavigateToPose_SendGoal", False),
+        (Kind.SERVER, "cancel_goal", "action_msgs/srv/CancelGoal", False),
+        (Kind.SERVER, "get_result", "nav2_msgs/action/NavigateToPose_GetResult", False),
+        (Kind.PUBLISHER, "feedback", "nav2_msgs/action/NavigateToPose_FeedbackMessage", False),
+        (Kind.PUBLISHER, "status", "action_msgs/msg/GoalStatusArray", True),
+    ]
+    assert action_key(told[0]) == action_key(told[2]) == text
+    kinds = {t.kind for t in parse(text.replace("AS", "AC"))}
+    assert kinds == {Kind.CLIENT, Kind.SUBSCRIPTION}
 
 
 def test_a_marked_id_is_taken_by_zenoh_and_random() -> None:

@@ -28,12 +28,13 @@ _BEACON_WORDS = texts(
 
 def _ros2dds_token() -> Subject:
     """Tokens of zenoh-plugin-ros2dds; what is read is written as the same token again."""
+    from bridge.adapters.zenoh.ros2dds_tokens import action_key, token_key
     from bridge.adapters.zenoh.ros2dds_tokens import parse as read
-    from bridge.adapters.zenoh.ros2dds_tokens import token_key
 
     def parse(data: bytes) -> None:
-        token = read(data.decode(errors="replace"))
-        assert token is None or read(token_key(token)) == token
+        told = read(data.decode(errors="replace"))
+        write = action_key if len(told) > 1 else token_key
+        assert not told or read(write(told[0])) == told
 
     return Subject(parse, _TOKENS, (WireError,), _TOKEN_WORDS)
 
