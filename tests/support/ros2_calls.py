@@ -94,10 +94,15 @@ class Calling:
         """Its client stays."""
 
 
+def depths(profile: Any, *parts: str) -> dict[str, Any]:
+    """One profile for each of these parts of an action."""
+    return {f"{part}_qos_profile": profile for part in parts}
+
+
 class Acting:
     """An action server: each goal gives its feedback, waits where it is held, and ends as it was told."""
 
-    def __init__(self, node: Any, params: dict[str, Any], fill: Fill, plain: Plain) -> None:
+    def __init__(self, node: Any, params: dict[str, Any], profile: Any, fill: Fill, plain: Plain) -> None:
         self.node, self.fill, self.plain = node, fill, plain
         self.type = found(params["type"], "action")
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
@@ -110,6 +115,7 @@ class Acting:
             self.type,
             params["action"],
             self.execute,
+            **depths(profile, "goal_service", "result_service", "cancel_service", "feedback_pub"),
             goal_callback=lambda _goal: GoalResponse.REJECT if self.outcome == "reject" else GoalResponse.ACCEPT,
             cancel_callback=self.cancelled,
         )
@@ -164,6 +170,7 @@ class Goal:
         self.plain = plain
         self.handle: Any = None
         self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
+        self.state["ends"] = 0
         self.news = threading.Condition()
         client.send_goal_async(goal, feedback_callback=self.heard).add_done_callback(self.answered)
 
@@ -179,11 +186,15 @@ class Goal:
         self.handle = future.result()
         self.tell(accepted=self.handle.accepted)
         if self.handle.accepted:
-            self.handle.get_result_async().add_done_callback(self.ended)
+            self.ask()
+
+    def ask(self) -> None:
+        """Ask for the result."""
+        self.handle.get_result_async().add_done_callback(self.ended)
 
     def ended(self, future: Any) -> None:
         found = future.result()
-        self.tell(status=found.status, result=self.plain(found.result))
+        self.tell(status=found.status, result=self.plain(found.result), ends=self.state["ends"] + 1)
 
     def cancel(self) -> None:
         def told(future: Any) -> None:
@@ -236,10 +247,11 @@ class Calls:
         key = params["action"], params["type"]
         type_ = found(key[1], "action")
         if key not in self.action_clients:
-            self.action_clients[key] = ActionClient(self.node, type_, key[0])
+            parts = depths(self.profile(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
+            self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)
         client = self.action_clients[key]
         assert client.wait_for_server(params.get("seconds", 20.0)), f"no server of {params['action']}"
         return Goal(client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
 
     def act(self, params: dict[str, Any]) -> Acting:
-        return Acting(self.node, params, self.fill, self.plain)
+        return Acting(self.node, params, self.profile(params), self.fill, self.plain)
