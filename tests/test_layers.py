@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 BELOW = {
     "config": set[str](),
     "messages": set[str](),
+    "tf": {"messages.cache"},
     "interfaces": {"config", "messages"},
     "hub": {"clock", "config", "messages", "worker"},
     "routing": {"clock", "config", "messages", "hub", "adapters.base"},

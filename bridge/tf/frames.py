@@ -1,0 +1,97 @@
+"""The frames of a buffer: their names and numbers, and who says where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bridge.tf.history import History
+from bridge.tf.layout import NONE, STATIC
+from bridge.tf.transform import FrameInfo, Source
+
+MAX_FRAMES = 10_000
+"""Most frames; a publisher that makes up names does not fill the memory."""
+
+MAX_SOURCES = 16
+"""Most sources of a frame that are remembered."""
+
+
+class Frame:
+    """One frame, by its number in the arrays."""
+
+    __slots__ = ("_earlier", "authority", "kind", "name", "number", "parent", "stamp")
+
+    def __init__(self, name: str, number: int) -> None:
+        self.name = name
+        self.number = number
+        self.kind = NONE
+        self.authority = ""
+        self.parent = 0
+        self.stamp = 0
+        self._earlier: dict[tuple[int, str], int] = {}
+
+    def switch(self, parent: int, authority: str) -> None:
+        """The last transform came from another authority or has another parent than the one before."""
+        if self.parent:
+            self._earlier.pop((self.parent, self.authority), None)
+            self._earlier[self.parent, self.authority] = self.stamp
+            if len(self._earlier) >= MAX_SOURCES:
+                del self._earlier[next(iter(self._earlier))]
+        self.parent, self.authority = parent, authority
+
+    def sources(self, since: int) -> dict[tuple[int, str], int]:
+        """Parents and authorities, and the stamp of what each said last; the last one first."""
+        found = {(self.parent, self.authority): self.stamp}
+        for source, stamp in reversed(self._earlier.items()):
+            if stamp >= since:
+                found.setdefault(source, stamp)
+        return found
+
+    def forget_sources(self) -> None:
+        """As if it was never heard of."""
+        self.parent, self.authority, self.stamp = 0, "", 0
+        self._earlier.clear()
+
+
+class Frames:
+    """All frames, numbered from 1 in the order in which they were heard of."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[str, int] = {}
+        self._frames: list[Frame] = [Frame("", 0)]
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for a parent and a child."""
+        return len(self._frames) > MAX_FRAMES - 2
+
+    def get(self, name: str) -> Frame:
+        """The frame of this name, made where it is new."""
+        number = self.numbers.get(name)
+        if number is not None:
+            return self._frames[number]
+        number = self.numbers[name] = len(self._frames)
+        frame = Frame(name, number)
+        self._frames.append(frame)
+        return frame
+
+    def __getitem__(self, number: int) -> Frame:
+        return self._frames[number]
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._frames[1:])
+
+    def infos(self, history: History) -> list[FrameInfo]:
+        """What is known of each frame that has a parent, by name."""
+        return sorted((self._info(f, history) for f in self if f.kind != NONE and f.parent), key=lambda info: info.name)
+
+    def _info(self, frame: Frame, history: History) -> FrameInfo:
+        parent, _ = history.newest(frame.number)
+        static = frame.kind == STATIC
+        oldest, newest, samples = history.ends(frame.number)
+        since = 0 if static else newest - history.span
+        sources = tuple(
+            Source(self._frames[above].name, authority, stamp)
+            for (above, authority), stamp in frame.sources(since).items()
+        )
+        times = (0, 0) if static else (oldest, newest)
+        return FrameInfo(frame.name, self._frames[parent].name, frame.authority, static, *times, samples, sources)

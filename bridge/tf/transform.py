@@ -1,0 +1,80 @@
+"""What the buffer gives: a transform, many of them, and what is known of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+LATEST = 0
+"""The stamp that asks for the newest time at which all frames on the way are known."""
+
+
+class Transform(NamedTuple):
+    """The pose of ``child_frame_id`` in ``frame_id``: it takes a point's coordinates in the first to the second."""
+
+    frame_id: str
+    child_frame_id: str
+    stamp: int
+    """ns; 0 where it holds for all times."""
+    translation: Vector
+    """x, y, z in m."""
+    rotation: Quaternion
+    """x, y, z, w."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transforms:
+    """Answers to a lookup at N times."""
+
+    stamps: NDArray[np.int64]
+    """(N), ns."""
+    translations: NDArray[np.float64]
+    """(N, 3) in m; NaN where there is none."""
+    rotations: NDArray[np.float64]
+    """(N, 4), x, y, z, w; NaN where there is none."""
+    known: NDArray[np.bool_]
+    """(N), whether there is a transform."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Who says where a frame is."""
+
+    parent: str
+    authority: str
+    stamp: int
+    """ns, of the newest that it said."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What is known of a frame that has a parent."""
+
+    name: str
+    parent: str
+    authority: str
+    static: bool
+    oldest: int
+    """Stamp in ns; 0 where static."""
+    newest: int
+    """Stamp in ns; 0 where static."""
+    samples: int
+    sources: tuple[Source, ...]
+    """All within the history; more than one where several publishers say where the frame is."""
+
+    @property
+    def rate(self) -> float:
+        """Transforms per second; 0 where static or too few to say."""
+        seconds = (self.newest - self.oldest) / 1e9
+        return (self.samples - 1) / seconds if seconds > 0 else 0.0
+
+    @property
+    def parents(self) -> set[str]:
+        """All parents within the history."""
+        return {source.parent for source in self.sources}

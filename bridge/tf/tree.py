@@ -1,0 +1,72 @@
+"""The tree of frames, as text and for Graphviz."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+
+from bridge.tf.transform import FrameInfo
+
+
+def as_text(frames: Iterable[FrameInfo]) -> str:
+    """A line for each frame, indented below its parent; frames of a loop come last, once each."""
+    below, infos = _below(frames)
+    lines: list[str] = []
+    shown = set[str]()
+
+    def show(top: str) -> None:
+        waiting = [(top, 0)]
+        while waiting:
+            name, depth = waiting.pop()
+            if name in shown:
+                continue
+            shown.add(name)
+            lines.append("  " * depth + name + _remark(infos.get(name)))
+            waiting.extend((child, depth + 1) for child in reversed(below.get(name, [])))
+
+    for root in sorted(set(below) - set(infos)):
+        show(root)
+    for name in sorted(set(infos) - shown):
+        if name not in shown:
+            lines.append(f"loop, through {name}:")
+            show(name)
+    return "\n".join(lines)
+
+
+def as_dot(frames: Iterable[FrameInfo]) -> str:
+    """A graph for Graphviz, as view_frames draws it: an arrow from each parent to its child."""
+    return "\n".join(["digraph G {", *_edges(frames), "}"])
+
+
+def _edges(frames: Iterable[FrameInfo]) -> Iterator[str]:
+    for info in sorted(frames, key=lambda info: info.name):
+        label = f"authority: {info.authority}\n" + _times(info)
+        yield f"{_quoted(info.parent)} -> {_quoted(info.name)}[label={_quoted(label)}];"
+        for other in sorted(info.parents - {info.parent}):
+            yield f"{_quoted(other)} -> {_quoted(info.name)}[style=dashed];"
+
+
+def _below(frames: Iterable[FrameInfo]) -> tuple[dict[str, list[str]], dict[str, FrameInfo]]:
+    infos = {info.name: info for info in frames}
+    below: dict[str, list[str]] = {}
+    for name in sorted(infos):
+        below.setdefault(infos[name].parent, []).append(name)
+    return below, infos
+
+
+def _remark(info: FrameInfo | None) -> str:
+    if info is None:
+        return ""
+    said = f"  ({_times(info)}, {info.authority or 'nobody named'})"
+    if len(info.sources) > 1:
+        who = ", ".join(f"{s.authority or 'nobody named'} under {s.parent}" for s in info.sources)
+        said += f"  SEVERAL SOURCES: {who}"
+    return said
+
+
+def _times(info: FrameInfo) -> str:
+    return "static" if info.static else f"{info.rate:.1f} Hz, newest {info.newest / 1e9:.3f} s"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

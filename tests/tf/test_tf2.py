@@ -1,0 +1,99 @@
+"""Answers, errors and refusals, compared with those of the real tf2 of ROS 1 on the same trees and questions."""
+
+from __future__ import annotations
+
+import logging
+import marshal
+import os
+import re
+import subprocess
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import TransformError
+from tests.support.ros1 import ROS1_PYTHON, ros1_environment
+from tests.tf import trees
+
+TREES = int(os.environ.get("MIDSPAN_TF_TREES", "10000"))
+TOLERANCE = 1e-9
+PEER = Path(__file__).with_name("tf2_peer.py")
+NAMES = {
+    "LookupError_": "LookupException",
+    "ConnectivityError": "ConnectivityException",
+    "ExtrapolationError": "ExtrapolationException",
+    "InvalidArgumentError": "InvalidArgumentException",
+}
+CUT = (116, 162)
+"""Where tf2 cuts (cache.cpp: char str[117], str[163])."""
+Answer = tuple
+
+needs_tf2 = pytest.mark.skipif(
+    not Path("/usr/lib/python3/dist-packages/tf2_py").is_dir(),
+    reason="no tf2 of ROS 1 on this machine (Debian, Ubuntu: apt install python3-tf2)",
+)
+
+
+def ask(buffer: TransformBuffer, step: tuple) -> Answer:
+    try:
+        found = buffer.lookup_transform(*step[1:]) if step[0] == "ask" else buffer.lookup_transform_full(*step[1:])
+    except TransformError as err:
+        return NAMES[type(err).__name__], str(err)
+    return found.stamp, *found.translation, *found.rotation
+
+
+def differ(ours: Answer, theirs: Answer) -> bool:
+    if len(ours) != len(theirs):
+        return True
+    if len(ours) == 2:
+        return ours[0] != theirs[0] or not same_text(ours[1], theirs[1])
+    return ours[0] != theirs[0] or not all(abs(a - b) <= TOLERANCE for a, b in zip(ours[1:], theirs[1:], strict=True))
+
+
+def same_text(ours: str, theirs: str) -> bool:
+    """Ours is whole; tf2 lists all frames behind the word of a loop, and cuts the end off the times' text."""
+    said, _, between = theirs.split("\n")[0].partition(", when")
+    mine, _, ours_between = ours.partition(", when")
+    return between == ours_between and (mine == said or (len(said) in CUT and mine.startswith(said)))
+
+
+@needs_tf2
+@pytest.mark.real
+def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
+    seed = int.from_bytes(os.urandom(4), "big")
+    monkeypatch.setattr(logging.getLogger("bridge.tf.buffer"), "disabled", True)  # each buffer says its first refusal
+    refused = Counter[str]()
+    ours, asked = [], []
+    with tempfile.TemporaryFile() as log:
+        command = [ROS1_PYTHON, PEER, str(seed), str(TREES)]
+        with subprocess.Popen(command, env=ros1_environment(), stdout=subprocess.PIPE, stderr=log) as peer:
+            for steps in trees.cases(seed, TREES):
+                buffer = TransformBuffer()
+                for step in steps:
+                    if step[0] == "set":
+                        buffer.set_transform(*step[1:6], "peer", static=step[6])
+                    elif step[0] == "clear":
+                        buffer.clear()
+                    else:
+                        ours.append(ask(buffer, step))
+                        asked.append((steps, step))
+                refused.update(buffer.refused)
+            output, _ = peer.communicate()
+        log.seek(0)
+        said = log.read().decode(errors="replace")
+    assert peer.returncode == 0, said[-2000:]
+    theirs = marshal.loads(output)
+    assert len(ours) == len(theirs) == 5 * TREES
+    wrong = [(a, b, *q) for a, b, q in zip(ours, theirs, asked, strict=True) if differ(a, b)]
+    if wrong:
+        pytest.fail(f"seed {seed}: {len(wrong)} differ; the first: {wrong[0]}")
+    kinds = Counter(answer[0] if len(answer) == 2 else "found" for answer in ours)
+    assert min(kinds[name] for name in ("found", *NAMES.values())) > TREES // 100, kinds
+    # tf2 names every flaw of a transform, so each of ours stands in its log at least as often
+    logged = Counter(re.findall(r"\b(TF_[A-Z_]+)", said))
+    assert set(refused) == set(logged)
+    assert all(logged[why] >= count for why, count in refused.items()), (seed, refused, logged)
+    assert all(refused[why] == logged[why] for why in ("TF_OLD_DATA", "TF_REPEATED_DATA")), (seed, refused, logged)

@@ -1,0 +1,55 @@
+"""The real tf2 of ROS 1 (tf2_py) on the cases of `trees`; runs on the system's Python alone.
+
+Usage: tf2_peer.py SEED COUNT. Answers to standard output (marshal): for each question of all cases (stamp, x, y, z, qx,
+qy, qz, qw), else (name of the exception, its text). tf2 logs to standard error what it refuses.
+"""
+
+import marshal
+import sys
+
+import genpy
+import geometry_msgs.msg
+import tf2_py
+import trees
+
+
+def stamp_of(ns):
+    """A time as ROS 1 has it."""
+    return genpy.Time(*divmod(ns, trees.SECOND))
+
+
+def answer(buffer, step):
+    """The answer to one question."""
+    try:
+        if step[0] == "ask":
+            found = buffer.lookup_transform_core(step[1], step[2], stamp_of(step[3]))
+        else:
+            found = buffer.lookup_transform_full_core(step[1], stamp_of(step[2]), step[3], stamp_of(step[4]), step[5])
+    except Exception as err:
+        return type(err).__name__, str(err)
+    moved, turned = found.transform.translation, found.transform.rotation
+    return found.header.stamp.to_nsec(), moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w
+
+
+def main():
+    answers = []
+    message = geometry_msgs.msg.TransformStamped()
+    moved, turned = message.transform.translation, message.transform.rotation
+    for steps in trees.cases(int(sys.argv[1]), int(sys.argv[2])):
+        buffer = tf2_py.BufferCore(genpy.Duration(10.0))
+        for step in steps:
+            if step[0] == "set":
+                message.header.frame_id, message.child_frame_id = step[1], step[2]
+                message.header.stamp = stamp_of(step[3])
+                moved.x, moved.y, moved.z = step[4]
+                turned.x, turned.y, turned.z, turned.w = step[5]
+                (buffer.set_transform_static if step[6] else buffer.set_transform)(message, "peer")
+            elif step[0] == "clear":
+                buffer.clear()
+            else:
+                answers.append(answer(buffer, step))
+    sys.stdout.buffer.write(marshal.dumps(answers))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Random trees of frames and questions about them, the same in two processes; runs on the system's Python too.
+
+A case is a list of steps: ("set", parent, child, stamp in ns, translation, rotation, static), ("clear",),
+("ask", target, source, stamp) and ("full", target, target stamp, source, source stamp, fixed).
+"""
+
+import math
+import random
+
+SECOND = 10**9
+START = 1_000_000 * SECOND
+"""tf2_py makes a double of seconds of each time: in 2026's seconds it would be off by up to 120 ns."""
+
+
+def rotation(dice, length=1.0):
+    """A random rotation."""
+    parts = [dice.gauss(0, 1) for _ in range(4)]
+    norm = math.sqrt(sum(p * p for p in parts))
+    return tuple(length * p / norm for p in parts)
+
+
+def pose(dice):
+    """A random pose; a few are not in order."""
+    moved = tuple(dice.uniform(-10, 10) for _ in range(3))
+    odd = dice.random()
+    if odd < 0.01:
+        return (float("nan"), 0.0, 0.0), rotation(dice)
+    if odd < 0.02:
+        return moved, (0.0, float("nan"), 0.0, 1.0)
+    if odd < 0.04:
+        return moved, rotation(dice, dice.choice((0.0, 0.99, 0.9949, 0.9951, 1.0049, 1.0051, 1.1)))
+    return moved, rotation(dice, dice.uniform(0.997, 1.003) if odd < 0.3 else 1.0)
+
+
+def sets(dice, names):
+    """Transforms of frames of a random forest."""
+    steps = []
+    spacing = dice.choice((0.01, 0.1, 1.0, 5.0))
+    for k in range(1, len(names)):
+        if dice.random() < 0.08:
+            continue  # a root of its own
+        parent = names[dice.randrange(k)]
+        static = dice.random() < 0.2
+        at = START + round(dice.uniform(0, 3 * spacing) * SECOND)
+        for _ in range(1 if static else dice.randint(1, 5)):
+            at += round(spacing * dice.choice((0.3, 1, 1, 1, 2)) * SECOND)
+            odd = dice.random()
+            above = dice.choice(names) if odd < 0.04 else parent  # another parent, itself, or a loop
+            name = names[k]
+            if odd > 0.99:
+                above, name = dice.choice((("", name), (above, ""), ("/" + above, "/" + name)))
+            stamp = dice.choice((0, at)) if static else at
+            steps.append(("set", above, name, stamp, *pose(dice), static))
+            if odd > 0.95:
+                steps.append(("set", above, name, stamp, *pose(dice), dice.random() < 0.5))  # twice, or as static
+    if dice.random() < 0.3:
+        dice.shuffle(steps)
+    return steps
+
+
+def question(dice, names, stamps):
+    """A question about times that are known, nearly known, or not."""
+
+    def stamp() -> int:
+        odd = dice.random()
+        if odd < 0.25:
+            return 0
+        near = dice.choice(stamps)
+        return near if odd < 0.4 else near + dice.randint(-SECOND, SECOND) // dice.choice((1, 10, 1000))
+
+    def name() -> str:
+        odd = dice.random()
+        return dice.choice(names) if odd > 0.03 else dice.choice(("nowhere", ""))
+
+    if dice.random() < 0.3:
+        return ("full", name(), stamp(), name(), stamp(), name())
+    return ("ask", name(), name(), stamp())
+
+
+def case(dice):
+    """One tree, and questions about it."""
+    names = [f"f{k}" for k in range(dice.choice((2, 3, 4, 6, 9)))]
+    steps = sets(dice, names)
+    if dice.random() < 0.03:
+        steps += [("clear",), *sets(dice, names[:3])]
+    stamps = [step[3] for step in steps if step[0] == "set" and step[3]] or [START]
+    return steps + [question(dice, names, stamps) for _ in range(5)]
+
+
+def cases(seed, count):
+    """So many cases."""
+    dice = random.Random(seed)
+    for _ in range(count):
+        yield case(dice)
