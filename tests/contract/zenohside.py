@@ -20,7 +20,7 @@ from tests.contract.side import CUSTOM_FOLDER, Side
 from tests.support.hub import HubNetwork
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router
+from tests.support.zenoh_programs import Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
 PERIOD = 0.4
 """Seconds between beacons of the ros1 dialect, for all: the plugin's second makes the suite slow."""
@@ -90,9 +90,12 @@ class Ros2ddsSide(ZenohSide):
     """Bridges of the ros2dds dialect."""
 
     name = "zenoh_ros2dds"
+    has_services = True
+    tells_errors = False
 
     def peer(self) -> Ros2ddsBridge:
-        peer = Ros2ddsBridge(self._router.endpoint, Messages(ros1=False, folders=(CUSTOM_FOLDER,)))
+        messages = Messages(ros1=False, folders=(CUSTOM_FOLDER,), texts=service_texts())
+        peer = Ros2ddsBridge(self._router.endpoint, messages)
         self._open.append(peer)
         return peer
 

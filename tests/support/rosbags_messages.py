@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,13 +19,19 @@ class Messages:
     Args:
         ros1: ROS 1 Noetic's, else ROS 2 Jazzy's.
         folders: of further ``.msg`` files, as ``<folder>/<package>/msg/<Name>.msg`` or ``<package>/<Name>.msg``.
+        texts: further definitions by name, ``package/Name``.
+        texts: further definitions by name.
     """
 
-    def __init__(self, *, ros1: bool, folders: tuple[Path, ...] = ()) -> None:
+    def __init__(
+        self, *, ros1: bool, folders: tuple[Path, ...] = (), texts: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         self.ros1 = ros1
         self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
         if ros1:
             self.store.register(get_types_from_msg(_TF, "tf2_msgs/msg/TFMessage"))
+        for name, text in texts.items():
+            self.store.register(get_types_from_msg(text, self.full(name)))
         for folder in folders:
             for file in sorted(folder.rglob("*.msg")):
                 package = next(part for part in file.relative_to(folder).parts if part != "msg")

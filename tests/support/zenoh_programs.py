@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import json
 import random
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +23,13 @@ from zenoh import ext
 from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
+from tests.support.zenoh_services import MD5, TYPES, Calling, Serving, Wire
+
+
+def service_texts() -> dict[str, str]:
+    """The requests and responses of services, by name and text."""
+    halves = ("Request", "Response")
+    return {f"{name}_{half}": text for name, texts in TYPES.items() for half, text in zip(halves, texts, strict=True)}
 
 
 def open_session(endpoint: str, mode: str = "peer", **more: Any) -> zenoh.Session:
@@ -69,6 +77,8 @@ class Program:
         self._things: dict[int, tuple[str, str, list[Any]]] = {}
         self._puts: dict[int, Callable[[bytes], None]] = {}
         self.heard: dict[int, list[Any]] = {}
+        self.servings: dict[int, Serving] = {}
+        self._callings: dict[int, Calling] = {}
         self.watch: zenoh.Subscriber | None = None
         self._changed = threading.Condition()
 
@@ -116,12 +126,43 @@ class Program:
         for part in self._things.pop(endpoint)[2]:
             part.undeclare()
 
+    def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
+        """A server of the dialect, and what else is to be undeclared with it."""
+        raise NotImplementedError
+
+    def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
+        """A call of the dialect."""
+        raise NotImplementedError
+
+    def ask(self, do: str, **params: Any) -> dict[str, Any]:
+        """The words of services; see `tests.support.peer`."""
+        if do == "serve":
+            serving, parts = self.serve(params["service"], params["type"], params)
+            number = self.add(params["service"], params["type"], [*parts, serving])
+            self.servings[number] = serving
+            return {"id": number}
+        if do == "call":
+            number = next(self._ids)
+            self._callings[number] = self.call(params["service"], params["type"], params.get("request") or {})
+            return {"id": number}
+        number = params.pop("id")
+        if do == "result":
+            return self._callings[number].result(**params)
+        if do == "requests":
+            return {"requests": self.servings[number].requests(**params)}
+        self.servings[number].release()
+        return {}
+
     def stop(self, seconds: float = 6.0) -> int:
         session, self.session = self.session, None
         if session is not None:
             # zenoh waits for callbacks at the end, and they for Python
             for number in list(self._things):
                 self.drop(number)
+            for serving in self.servings.values():
+                serving.forget()
+            for calling in self._callings.values():
+                calling.token.cancel()
             if self.watch is not None:
                 self.watch.undeclare()
             session.close()
@@ -134,6 +175,8 @@ class Ros2ddsBridge(Program):
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "") -> None:
         super().__init__(endpoint)
         self._messages, self._namespace = messages, namespace
+        self._client, self._sequence = secrets.token_bytes(8), itertools.count(1)
+        self.wire = Wire(self.encode, self.decode, lambda _text: None, _is_cdr, self._request_id)
         self._alive = self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv")
         self._tokens: set[str] = set()
         self.watch = self.session.liveliness().declare_subscriber(
@@ -191,6 +234,21 @@ class Ros2ddsBridge(Program):
         self._things[number][2].extend([self.session.liveliness().declare_token(text), subscriber])
         return number
 
+    def _request_id(self) -> bytes:
+        return b"rqh" + self._client + next(self._sequence).to_bytes(8, "little") + b"\1"
+
+    def tell(self, letters: str, name: str, type_name: str) -> zenoh.LivelinessToken:
+        """The token of a service or an action, byte for byte."""
+        key, type_name = self.key(name).replace("/", "§"), type_name.replace("/", "§")
+        return self.session.liveliness().declare_token(f"@/{self.zid}/@ros2_lv/{letters}/{key}/{type_name}")
+
+    def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
+        serving = Serving(self.session, self.key(service), self.wire, params)
+        return serving, [self.tell("SS", service, type_.replace("/", "/srv/"))]
+
+    def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
+        return Calling(self.session, self.key(service), self.wire, type_, request)
+
     def all_tokens(self) -> set[str]:
         """All tokens of the dialect that are there."""
         return set(self._tokens)
@@ -209,6 +267,12 @@ class Ros2ddsBridge(Program):
                 key = parts[4].replace("§", "/").removeprefix(f"{self._namespace}/" if self._namespace else "")
                 graph[kind].setdefault(f"/{key}", []).append(parts[1])
         return graph
+
+
+def _is_cdr(query: zenoh.Query) -> bool:
+    payload = query.payload
+    data = b"\0\1\0\0" if payload is None else payload.to_bytes()
+    return len(data) >= 4 and data[1] <= 1
 
 
 class Beacon:
@@ -257,6 +321,9 @@ class Ros1Bridge(Program):
     def __init__(self, endpoint: str, messages: Messages, namespace: str = "*", period: float = 1.0) -> None:
         super().__init__(endpoint)
         self._messages, self._namespace, self._period = messages, namespace, period
+        self.wire = Wire(
+            self.encode, self.decode, lambda text: text.encode(), lambda q: q.payload is not None, lambda: None
+        )
         self._beacons: dict[str, float] = {}
         self.watch = self.session.declare_subscriber(
             f"ros1_discovery_info/*/*/*/*/{namespace}/*/**", zenoh.handlers.Callback(self._on_beacon, indirect=False)
@@ -312,6 +379,13 @@ class Ros1Bridge(Program):
         self._things[number][2].extend([beacon, subscriber])
         return number
 
+    def serve(self, service: str, type_: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
+        serving = Serving(self.session, self.key(service, type_, MD5[type_]), self.wire, params)
+        return serving, [Beacon(self.session, self.discovery("srv", service, type_, MD5[type_]), self._period)]
+
+    def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
+        return Calling(self.session, self.key(service, type_, MD5[type_]), self.wire, type_, request)
+
     def beacons(self) -> list[str]:
         """Whose beacons were heard in the last three periods, its own among them."""
         now = time.monotonic()
@@ -321,7 +395,9 @@ class Ros1Bridge(Program):
         graph: dict[str, Any] = {"publishers": {}, "subscriptions": {}}
         for key in self.beacons():
             parts = key.split("/", 6)
-            kind = {"pub": "publishers", "sub": "subscriptions"}[parts[2]]
+            kind = {"pub": "publishers", "sub": "subscriptions"}.get(parts[2])
+            if kind is None:
+                continue
             graph[kind].setdefault(f"/{parts[6]}", ["a bridge"])
         return graph
 

@@ -17,9 +17,9 @@ from tests.contract.zenohside import PERIOD, ZenohBridge
 from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
-from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router
+from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
-ROS1, ROS2 = Messages(ros1=True), Messages(ros1=False)
+ROS1, ROS2 = (Messages(ros1=ros1, texts=service_texts()) for ros1 in (True, False))
 
 
 class Place:
