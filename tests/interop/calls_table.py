@@ -136,15 +136,19 @@ class Pair:
         feedback = [{FIELDS[self.sides[0]][1]: pose(1.5)}]
         return int(self.server.ask("act", action=name, type=TYPES[self.sides[0]], feedback=feedback, **more)["id"])
 
-    def send(self, name: str) -> int:
+    def send(self, name: str, **more: Any) -> int:
         """Send a goal."""
         goal = {FIELDS[self.sides[1]][0]: pose(3.5)}
-        asked = {"action": name, "type": TYPES[self.sides[1]], "goal": goal, "seconds": SECONDS}
+        asked = {"action": name, "type": TYPES[self.sides[1]], "goal": goal, "seconds": SECONDS, **more}
         return int(self.client.ask("send_goal", **asked)["id"])
 
     def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
         """What the client knows of a goal, once these fields are so."""
-        found: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=SECONDS)
+        return self.told(goal, SECONDS, **wanted)
+
+    def told(self, goal: int, seconds: float, **wanted: Any) -> dict[str, Any]:
+        """The same with a time limit of one's own."""
+        found: dict[str, Any] = self.client.ask("goal", id=goal, until=wanted, seconds=seconds)
         seen = {k: len(found[k]) if k == "feedback" else found[k] for k in wanted}
         assert seen == wanted, f"{seen}, not {wanted}"
         return found

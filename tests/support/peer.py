@@ -18,7 +18,8 @@ ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), 
 of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,
 feedback (a list), result, outcome (``succeed``, ``abort``, ``reject``), held, keeps (it refuses to cancel) -> id;
 ``goals`` id, count, seconds -> goals; ``send_goal`` action, type, goal -> id; ``goal`` id, until (fields that must be
-so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]); ``cancel`` id.
+so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]), ends (how often its end was told);
+``ask_result`` id (ROS 2): ask for it again; ``cancel`` id.
 Types are spelled ``package/Name`` on every side.
 """
 

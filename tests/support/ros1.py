@@ -66,8 +66,8 @@ class RosMaster:
             self._process.stop()
             self._process = None
 
-    def close(self) -> None:
-        """Kill roscore, which takes a second to stop by itself, and remove its files."""
+    def kill(self) -> None:
+        """Kill roscore, which takes a second to stop by itself; its nodes stay."""
         if self._process is not None:
             # its master and rosout are in sessions of their own
             parts = psutil.Process(self._process.pid).children() if self._process.popen.poll() is None else []
@@ -75,6 +75,10 @@ class RosMaster:
             for part in parts:
                 part.kill()
             self._process = None
+
+    def close(self) -> None:
+        """Kill roscore, and remove its files."""
+        self.kill()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def call(self, method: str, *params: Any) -> Any:

@@ -79,7 +79,7 @@ class Goal:
 
     def __init__(self, client, goal, plain):
         self.plain, self.news, self.handle = plain, threading.Condition(), None
-        self.state = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
+        self.state = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None, "ends": 0}
         self.handle = client.send_goal(goal, self.changed, self.heard)
 
     def tell(self, **news):
@@ -97,7 +97,8 @@ class Goal:
         if state == CommState.DONE:
             result = handle.get_result()
             known = None if result is None else self.plain(result)
-            self.tell(status=STATUSES.get(status, 0), accepted=status != GoalStatus.REJECTED, result=known)
+            accepted, ends = status != GoalStatus.REJECTED, self.state["ends"] + 1
+            self.tell(status=STATUSES.get(status, 0), accepted=accepted, result=known, ends=ends)
         elif state in (CommState.PENDING, CommState.ACTIVE) and status != GoalStatus.REJECTED:
             self.tell(accepted=True)
 

@@ -194,7 +194,8 @@ class Goal:
 
     def ended(self, future: Any) -> None:
         found = future.result()
-        self.tell(status=found.status, result=self.plain(found.result), ends=self.state["ends"] + 1)
+        ends = self.state["ends"] + (found.status != self.state["status"])  # who asks again is told the same
+        self.tell(status=found.status, result=self.plain(found.result), ends=ends)
 
     def cancel(self) -> None:
         def told(future: Any) -> None:

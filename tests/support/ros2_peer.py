@@ -184,6 +184,10 @@ class Peer:
         self.endpoints[params["id"]].cancel()
         return {}
 
+    def ask_result(self, params: dict[str, Any]) -> dict[str, Any]:
+        self.endpoints[params["id"]].ask()
+        return {}
+
     def goal(self, params: dict[str, Any]) -> dict[str, Any]:
         return dict(self.endpoints[params["id"]].wait(params.get("until") or {}, params.get("seconds", 20.0)))
 

@@ -1,0 +1,36 @@
+"""A goal whose server, client, bridge worker or ROS master is killed in its middle has one end, and no second one.
+
+`benchmarks/goals_in_danger.py` does the same many times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks.goals_in_danger import DANGERS, STATES, WAYS, Scene
+from tests.interop.deployment import Deployment
+
+FREE = {"client killed", "master killed"}
+"""Dangers in which the goal may go on, so that its server decides how it ends."""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
+    """A daemon and real programs on both sides."""
+    folder: Path = tmp_path_factory.mktemp("danger")
+    with Deployment(folder) as deployment:
+        deployment.start()
+        yield Scene(deployment)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("danger", DANGERS)
+def test_a_goal_in_danger_ends_once(scene: Scene, danger: str, way: str) -> None:
+    end = DANGERS[danger](scene, *WAYS[way])
+    assert end.good, f"{end}"
+    asked_again = danger == "ros2 worker killed" and way.startswith("ROS 2 client")
+    goes_on = danger in FREE and not (danger == "master killed" and way.startswith("ROS 2 client"))
+    assert STATES[end.status] == ("SUCCEEDED" if asked_again or goes_on else "ABORTED")
