@@ -13,7 +13,7 @@ from bridge.cli.topic_view import Decision, absolute, ask_decisions
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.liveliness import EndpointKind
 from bridge.routing.guard import TAPS, origin_side
-from bridge.routing.subject import Actions, split
+from bridge.routing.subject import split
 
 
 @dataclass(slots=True)
@@ -73,19 +73,18 @@ def all_services(client: Client) -> dict[str, CallView]:
 
 def all_actions(client: Client) -> dict[str, CallView]:
     """Every action of the hub and of the workers' sides by name."""
-    known = list(_known(client))
-    named = [(e.topic, e.type_name) for e, _ in known if e is not None]
-    named += [(d.hub_topic or d.topic, _spelled(d.type, "action")) for _, d in known if d is not None]
-    types = Actions(named)
     views: dict[str, CallView] = {}
-    for endpoint, decision in known:
-        part_name = endpoint.topic if endpoint is not None else "" if decision is None else _name(decision)
+    for endpoint, decision in _known(client):
+        part_name, type_name = "", ""
+        if endpoint is not None:
+            part_name, type_name = endpoint.topic, endpoint.type_name
+        elif decision is not None:
+            part_name, type_name = _name(decision), _spelled(decision.type, "action")
         name, part = split(part_name)
-        if part != "send_goal":
-            continue
-        view = views.setdefault(name, CallView(name))
-        _add(view, endpoint, decision)
-        view.types.add(types.subject("service", part_name, "").type_name)
+        if part == "send_goal":
+            view = views.setdefault(name, CallView(name))
+            _add(view, endpoint, decision)
+            view.types.add(type_name.removesuffix("_SendGoal"))
     return views
 
 

@@ -18,7 +18,7 @@ def test_a_thousand_topics(running: Deployment) -> None:
         ros1.publish(number, {"data": f"message {number}"})
 
     def crossed(side: str) -> int:
-        routes = running.worker(side)["routes"]
+        routes = running.worker(side).get("routes", [])  # one that is busy may not answer in time
         return sum(1 for r in routes if r["topic"].startswith("/many/") and r["messages"] >= 1)
 
     for side in ("ros1", "ros2"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -39,4 +40,5 @@ def said(program: subprocess.Popen[str], seconds: float = 60) -> list[str]:
         program.kill()
         out, err = program.communicate()
     assert program.returncode == 0, f"{out}\n{err}"
-    return [line for line in out.splitlines() if not line.startswith("[")]
+    # two threads may print at once: a line of the library's may stand between a text and its end
+    return re.sub(r"\[[A-Z]+\] \|[^\n]*\n", "", out).splitlines()

@@ -95,11 +95,13 @@ class Input:
         self._thread.start()
 
     def close(self) -> None:
-        """End the connection soon."""
+        """End the connection soon; the reply to a message that the owner has at this moment is still sent."""
         self._closing = True
-        self.wake()
-        if (waiting := self._waiting) is not None:
-            waiting.give_up()
+        waiting = self._waiting
+        if waiting is not None and waiting.retire():
+            self._no_more()
+        else:
+            self.wake()
 
     @property
     def is_gone(self) -> bool:
@@ -134,7 +136,8 @@ class Input:
     def join(self, seconds: float) -> None:
         """Wait until the connection has ended."""
         if self._thread is not threading.current_thread():
-            self._over.wait(seconds)
+            if not self._over.wait(seconds):
+                self.wake()
             if self._thread is not None:
                 self._thread.join(seconds)
 

@@ -43,7 +43,10 @@ class Message:
         is_last: the connection ends behind the reply.
     """
 
-    __slots__ = ("_answered", "_later", "envelope", "is_last", "is_plain", "payload", "peer", "replied", "wants_reply")
+    __slots__ = (
+        "_answered", "_later", "_retired", "envelope", "is_last", "is_plain", "payload", "peer", "replied",
+        "wants_reply",
+    )  # fmt: skip
 
     def __init__(self, payload: Buffer, envelope: str, peer: Peer, wants_reply: bool = False) -> None:
         self.payload = payload
@@ -54,7 +57,7 @@ class Message:
         self.is_plain = False
         self.is_last = False
         self._later: threading.Event | None = None
-        self._answered = False
+        self._answered = self._retired = False
 
     def reply(self, payload: Payload, *, plain: bool = False) -> None:
         """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
@@ -80,6 +83,19 @@ class Message:
     def later(self) -> None:
         """Say, before ``on_message`` returns, that the reply comes from another thread: the connection waits for it."""
         self._later = threading.Event()
+        if self._retired:
+            self.give_up()
+
+    def retire(self) -> bool:
+        """The port closes: a reply that was to come from another thread is given up.
+
+        Returns:
+            whether a reply still comes, from the owner who has the message at this moment.
+        """
+        self._retired = True
+        if self._later is not None:
+            self.give_up()
+        return self._later is None
 
     def give_up(self) -> None:
         """Let the connection go on without a reply, if there is none yet."""

@@ -123,6 +123,7 @@ def test_about_a_connection(make_port: MakePort) -> None:
 def test_typed_commands(make_port: MakePort) -> None:
     writer, reader = make_port("/w"), make_port("/r")
     assert said(writer, "/r") == "Added connection from /w to /r\r\n"
+    until(lambda: not writer.inputs(), "the one that asked has gone")
     assert said(writer, "*") == (
         f"This is /w at tcp://127.0.0.1:{writer.contact.port}/\r\n"
         "There is an output connection from /w to /r using tcp\r\n"

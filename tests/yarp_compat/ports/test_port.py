@@ -496,3 +496,20 @@ def test_a_port_that_cannot_be_announced_is_not_open(naming: LocalNaming, monkey
         port.open()
     assert not port.is_open
     assert naming.query("/p") is None
+
+
+def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port: MakePort) -> None:
+    """As when a module is told to quit, and closes its ports while it says goodbye."""
+    ends: list[threading.Thread] = []
+
+    def take(message: Message) -> None:
+        ends.append(threading.Thread(target=server.close))
+        ends[0].start()
+        until(lambda: not server.is_open, "the port is closing")
+        message.reply(HELLO)
+
+    server, client = make_port("/server", take), make_port("/client")
+    client.add_output("/server")
+    assert client.request(HELLO, timeout=10) == HELLO
+    ends[0].join(10)
+    assert not ends[0].is_alive()
