@@ -108,13 +108,15 @@ class Ros1KeysSide(ZenohSide):
 
     name = "zenoh_ros1"
     tells_latching = False
+    has_services = True
 
     def __init__(self, hubs: HubNetwork) -> None:
         super().__init__(hubs)
         self._patch.setattr(ros1_aloha, "PERIOD", PERIOD)
 
     def peer(self) -> Ros1Bridge:
-        peer = Ros1Bridge(self._router.endpoint, Messages(ros1=True, folders=(CUSTOM_FOLDER,)), period=PERIOD)
+        messages = Messages(ros1=True, folders=(CUSTOM_FOLDER,), texts=service_texts())
+        peer = Ros1Bridge(self._router.endpoint, messages, period=PERIOD)
         self._open.append(peer)
         return peer
 

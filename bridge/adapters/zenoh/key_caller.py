@@ -11,7 +11,7 @@ from bridge.hub.queries import Queries
 
 
 class KeyCaller(Queries):
-    """Calls the servers of one key as the plugins do: the nearest of several is asked.
+    """Calls the servers of one key as the plugins do: of several all are asked, and the first reply counts.
 
     Args:
         session: the dialect's session.

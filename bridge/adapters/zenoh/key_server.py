@@ -23,6 +23,7 @@ class KeyServer(Answers):
         closed: called once when it is closed.
         nothing: the request that a query without payload stands for, None where the service's has fields.
         encoding: of the replies.
+        asked: expression of the keys whose queries are calls, ``key`` itself where it is "".
     """
 
     def __init__(
@@ -36,9 +37,10 @@ class KeyServer(Answers):
         closed: Callable[[KeyServer], None],
         nothing: bytes | None,
         encoding: zenoh.Encoding | None = None,
+        asked: str = "",
     ) -> None:
         self._withdraw, self._on_closed, self._nothing = withdraw, closed, nothing
-        self._expression = zenoh.KeyExpr(key)
+        self._expression = zenoh.KeyExpr(asked or key)
         self.encoding = encoding
         super().__init__(session, key, name, limit, call)
 

@@ -2,42 +2,58 @@
 
 Samples tell nothing of who put them there, so all native bridges of one key are one publisher. Whether a ROS 1
 publisher latches is not told: for topics that usually are latched, the configuration's ``latched`` has the hub keep
-the last message.
+the last message. Actions of ROS 1 are topics, and cross as such.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
 import zenoh
 
-from bridge.adapters.base import Deliver, EdgePublisher, EdgeSubscription, Endpoint, Kind, MadeBy
+from bridge.adapters.base import (
+    Deliver,
+    EdgeCaller,
+    EdgePublisher,
+    EdgeServer,
+    EdgeSubscription,
+    Endpoint,
+    Kind,
+    MadeBy,
+)
 from bridge.adapters.ros1 import names
 from bridge.adapters.zenoh.edge import KeyEdge, configured
+from bridge.adapters.zenoh.key_caller import KeyCaller
+from bridge.adapters.zenoh.key_server import KeyServer
 from bridge.adapters.zenoh.ros1_aloha import Aloha
 from bridge.adapters.zenoh.ros1_keys import Topic, data_key
 from bridge.adapters.zenoh.ros1_publisher import Ros1KeyPublisher
 from bridge.adapters.zenoh.subscription import KeySubscription
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
+from bridge.hub.call import Call
 from bridge.hub.qos import Durability, Qos
-from bridge.messages.conversion import Conversion, SideType
-from bridge.messages.errors import MessageTypeError
+from bridge.messages.conversion import Conversion, ServiceConversion, SideType
+from bridge.messages.errors import ConversionError, MessageTypeError
+from bridge.messages.parts import CANCEL_GOAL, is_service
 from bridge.messages.registry import Registry
 from bridge.routing.patterns import glob_regex
 
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _NODE = "zenoh-bridge-ros1"
+_SERVICES = (Kind.SERVER, Kind.CLIENT)
+_MAX_ERROR = 4096
 
 
 class Ros1KeysEdge(KeyEdge):
     """Joins the bridges of the ros1 dialect."""
 
     side: ClassVar[str] = "zenoh_ros1"
+    services: ClassVar[bool] = True
 
     def __init__(self, config: Config, dialect: Dialect, registry: Registry, state: Path) -> None:
         self._namespace = dialect.namespace or "*"
@@ -92,11 +108,21 @@ class Ros1KeysEdge(KeyEdge):
     def _endpoint(self, kind: Kind, topic: Topic) -> Endpoint:
         if topic.md5 == "*":  # told by who takes any definition: ours stands for it
             with contextlib.suppress(MessageTypeError):
-                topic = replace(topic, md5=self.registry.ros1(topic.type).type_id)
+                topic = replace(topic, md5=self._md5(kind, topic.type))
         latched = kind is Kind.PUBLISHER and any(glob.fullmatch(topic.name) for glob in self._latched)
         qos = _LATCHED if latched else Qos()
         key = data_key(topic, self._namespace)
         return Endpoint(key, kind, topic.name, topic.type, qos, MadeBy.NATIVE, _NODE, topic.md5)
+
+    def _md5(self, kind: Kind, type_name: str) -> str:
+        if kind in _SERVICES:
+            return self.registry.service_ros1_to_hub(type_name).side.type_id
+        return self.registry.ros1(type_name).type_id
+
+    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
+        """The services of a ROS 2 action are none of ROS 1."""
+        action = type_name == CANCEL_GOAL or ("/action/" in type_name and is_service(type_name))
+        return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
     def warnings(self) -> list[str]:
         """Beacons that could not be read."""
@@ -111,6 +137,15 @@ class Ros1KeysEdge(KeyEdge):
     def from_hub(self, type_name: str, type_hash: str) -> Conversion:
         """See `Edge.from_hub`."""
         return self.registry.hub_to_ros1(type_name, type_hash)
+
+    def service_to_hub(self, endpoint: Endpoint) -> ServiceConversion:
+        """See `Edge.service_to_hub`; a reply that is the text of an error is told as one."""
+        known = self.registry.service_ros1_to_hub(endpoint.type, endpoint.type_id)
+        return replace(known, response_to_hub=_or_failed(known.response_to_hub))
+
+    def service_from_hub(self, type_name: str, type_hash: str) -> ServiceConversion:
+        """See `Edge.service_from_hub`."""
+        return self.registry.service_hub_to_ros1(type_name, type_hash)
 
     def side_name(self, hub_name: str) -> str:
         """The ROS 1 spelling of a hub topic name; see `bridge.adapters.ros1.names`."""
@@ -146,3 +181,42 @@ class Ros1KeysEdge(KeyEdge):
         publisher = Ros1KeyPublisher(self.session, topic, key, qos, withdraw, self.drop)
         self.keep(publisher)
         return publisher
+
+    def caller(self, name: str, side_type: SideType) -> EdgeCaller:
+        """Call a service's key, and tell the bridges."""
+        key, withdraw = self._tell(Kind.CLIENT, name, side_type)
+        part = KeyCaller(self.session, key, name, self.limit, self.errands, withdraw, self.drop)
+        self.keep(part)
+        return part
+
+    def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
+        """Serve a service's key, whatever the namespace of the bridge that asks, and tell the bridges."""
+        key, withdraw = self._tell(Kind.SERVER, name, side_type)
+        any_namespace = data_key(Topic(name, side_type.name, side_type.type_id), "*")
+        part = KeyServer(
+            self.session, key, name, self.limit, call, withdraw, self.drop, nothing=b"", asked=any_namespace
+        )
+        self.keep(part)
+        return part
+
+    def _tell(self, kind: Kind, name: str, side_type: SideType) -> tuple[str, Callable[[], None]]:
+        assert self._aloha is not None
+        topic = Topic(name, side_type.name, side_type.type_id)
+        return data_key(topic, self._namespace), self._aloha.tell(kind, topic)
+
+
+def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], bytes] | None:
+    if convert is None:
+        return None
+
+    def converted(reply: bytes) -> bytes:
+        try:
+            return convert(reply)
+        except ConversionError:
+            text = reply[:_MAX_ERROR].decode(errors="replace")
+            if not text or not text.isprintable():
+                raise
+            msg = f"the server failed: {text}"
+            raise ConversionError(msg) from None
+
+    return converted

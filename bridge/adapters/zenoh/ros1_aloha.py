@@ -1,6 +1,6 @@
-"""How bridges of the ros1 dialect tell each other their topics: beacons, in the manner of ALOHA.
+"""How bridges of the ros1 dialect tell each other their topics and services: beacons, in the manner of ALOHA.
 
-Who has a topic puts an empty sample on its discovery key each second, and is taken for gone after three seconds'
+Who has one puts an empty sample on its discovery key each second, and is taken for gone after three seconds'
 silence. Who hears another's beacon on the same key may fall silent, and speaks again after a second without any
 (zenoh-plugin-ros1 of May 2025, ``aloha_declaration.rs``, ``aloha_subscription.rs``). So that no native bridge falls
 silent because of us, which would look as if it were gone, we always give way. One that hears us before we hear it may
@@ -162,8 +162,6 @@ class Aloha:
             level = logging.DEBUG if self._refused else logging.WARNING
             self._refused += 1
             _log.log(level, "beacon left out, %s: %.200s", err, key)
-            return
-        if place is None:
             return
         now = time.monotonic()
         if is_marked(sender(sample)):

@@ -23,10 +23,14 @@ class DialectKey(Section):
     topic: str | None = Field(
         default=None, description="The topic, for example `/pose`; with `json` by default the key behind a slash."
     )
-    type: str = Field(description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`.")
+    type: str = Field(
+        description="The message type, spelled as in ROS 2: `geometry_msgs/msg/Pose`; with `json` also a service's:"
+        " `std_srvs/srv/SetBool`."
+    )
     direction: Literal["in", "out", "both"] = Field(
         default="both",
-        description="`json` alone: whether the programs on the key publish (`in`), listen (`out`), or do both.",
+        description="`json` alone: whether the programs on the key publish (`in`), listen (`out`), or do both. Of a"
+        " service: whether they serve it (`in`) or call it (`out`).",
     )
     latched: bool = Field(
         default=False, description="`json` alone: keep the last message that comes from the key for late joiners."
@@ -36,6 +40,11 @@ class DialectKey(Section):
     def hub_topic(self) -> str:
         """The topic's name."""
         return self.topic if self.topic is not None else f"/{self.key}"
+
+    @property
+    def is_service(self) -> bool:
+        """Whether the key is a service's."""
+        return "/srv/" in self.type
 
     @field_validator("key")
     @classmethod
@@ -51,8 +60,8 @@ class DialectKey(Section):
     @field_validator("type")
     @classmethod
     def _type_is_spelled_as_in_ros2(cls, value: str) -> str:
-        if not re.fullmatch(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", value, re.ASCII):
-            msg = f"{value!r} is no message type as ROS 2 spells them, for example std_msgs/msg/String"
+        if not re.fullmatch(r"[A-Za-z]\w*/(msg|srv)/[A-Za-z]\w*", value, re.ASCII):
+            msg = f"{value!r} is no type as ROS 2 spells them, for example std_msgs/msg/String or std_srvs/srv/SetBool"
             raise ValueError(msg)
         return value
 
@@ -60,6 +69,9 @@ class DialectKey(Section):
     def _topic_is_legal(self) -> DialectKey:
         if (self.topic is not None or self.key is not None) and not ROS2_NAME.fullmatch(self.hub_topic):
             msg = f"{self.hub_topic!r} is no topic name; give a 'topic' of letters, digits and underscores, as /pose"
+            raise ValueError(msg)
+        if self.is_service and (self.direction == "both" or self.latched):
+            msg = f"{self.type} is a service: give its 'direction', in (programs serve it) or out, and no 'latched'"
             raise ValueError(msg)
         return self
 
@@ -98,8 +110,8 @@ class Dialect(Section):
             msg = "an entry of keys has no 'key'"
         elif not json and any(key.topic is None for key in self.keys):
             msg = "an entry of keys has no 'topic'"
-        elif not json and for_json:
-            msg = "'key', 'direction' and 'latched' of an entry of keys are for json alone"
+        elif not json and (for_json or any(key.is_service for key in self.keys)):
+            msg = "'key', 'direction', 'latched' and services of an entry of keys are for json alone"
         elif len(set(topics)) < len(topics):
             msg = f"names the topic {max(topics, key=topics.count)} twice"
         elif json and len({key.key for key in self.keys}) < len(self.keys):

@@ -152,3 +152,49 @@ def test_a_key_cannot_carry_cdr_and_json(place: Place) -> None:
     assert "JSON" in until(why, "it is decided", every=0.1)[0]
     bridge.advertise("/talk", STRING)
     until(lambda: [w for w in place.status("zenoh_ros2dds")["warnings"] if "JSON" in w], "a warning", every=0.1)
+
+
+def test_services_by_a_get(place: Place) -> None:
+    """Those that programs serve, and those that they call."""
+    program, set_bool, trigger = place.json(), "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"
+    place.bridge(
+        {
+            "dialect": "json",
+            "keys": [
+                {"key": "robot/light", "type": set_bool, "direction": "in"},
+                {"key": "robot/beep", "topic": "/beep", "type": trigger, "direction": "out"},
+                {"key": "robot/arm", "topic": "/arm", "type": set_bool, "direction": "out"},
+            ],
+        }
+    )
+    missing = place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()
+    assert "no server of /robot/light is on this zenoh network" in missing["error"]
+    asked: list[Any] = []
+
+    def light(query: zenoh.Query) -> None:
+        asked.append(json.loads(query.payload.to_bytes()))
+        with query:
+            query.reply("robot/light", b'{"success": true, "message": "on"}')
+
+    queryable = program.session.declare_queryable("robot/light", zenoh.handlers.Callback(light, indirect=False))
+    on = {"success": True, "message": "on"}
+    until(lambda: place.far.call("/robot/light", "std_srvs/SetBool", data=True).result()["reply"] == on, "the reply")
+    assert asked[-1] == {"data": True}
+    queryable.undeclare()
+    place.far.serve("/beep", "std_srvs/Trigger", reply=on)
+    arm = place.far.serve("/arm", "std_srvs/SetBool", error="the arm is stuck")
+    replies = until(lambda: program.get("robot/beep"), "its reply", 20, every=0.1)
+    assert replies == [(on, "application/json")]
+    place.until_route(SIDE, "/arm", "out")
+
+    def errors(payload: bytes | None) -> str:
+        return "".join(r.err.payload.to_bytes().decode() for r in program.session.get("robot/arm", payload=payload))
+
+    assert until(lambda: errors(b'{"data": true}'), "an error", 20) == "the arm is stuck"
+    assert "did you mean 'data'" in errors(b'{"dat": true}')
+    assert "has no payload" in errors(None)
+    assert arm.requests() == [{"data": True}]
+    # who looks at all keys calls nothing
+    served = place.route(SIDE, "/beep", "out")["calls"]
+    assert list(program.session.get("robot/**", timeout=2.0)) == []
+    assert place.route(SIDE, "/beep", "out")["calls"] == served

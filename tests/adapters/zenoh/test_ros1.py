@@ -29,7 +29,8 @@ def test_keys_are_written_as_the_plugin_writes_them() -> None:
     assert discovery_key(Kind.PUBLISHER, topic, "*") == f"ros1_discovery_info/*/pub/{KEY}"
     assert discovery_key(Kind.SUBSCRIPTION, topic, "bot") == f"ros1_discovery_info/*/sub/{KEY.replace('*', 'bot')}"
     assert parse(f"ros1_discovery_info/*/pub/{KEY}") == (Kind.PUBLISHER, topic)
-    assert parse(f"ros1_discovery_info/*/srv/{KEY}") is None
+    assert parse(f"ros1_discovery_info/*/srv/{KEY}") == (Kind.SERVER, topic)
+    assert parse(f"ros1_discovery_info/*/cl/{KEY}") == (Kind.CLIENT, topic)
     assert parse(f"ros1_discovery_info/*/sub/{KEY}/deep/er") == (
         Kind.SUBSCRIPTION, Topic("/chatter/deep/er", STRING, topic.md5)
     )  # fmt: skip

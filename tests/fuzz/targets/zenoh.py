@@ -80,12 +80,10 @@ def _ros1_beacon() -> Subject:
     from bridge.adapters.zenoh.ros1_keys import parse as read
 
     def parse(data: bytes) -> None:
-        found = read(data.decode(errors="replace"))
-        if found is not None:
-            kind, topic = found
-            again = read(discovery_key(kind, topic, "*"))
-            assert again is not None
-            assert again[1].name.strip("/") == topic.name.strip("/")
+        kind, topic = read(data.decode(errors="replace"))
+        again = read(discovery_key(kind, topic, "*"))
+        assert again[0] is kind
+        assert again[1].name.strip("/") == topic.name.strip("/")
 
     return Subject(parse, texts(_BEACON, _BEACON.replace("/pub/", "/srv/")), (WireError,), _BEACON_WORDS)
 
