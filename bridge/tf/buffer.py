@@ -22,7 +22,7 @@ from bridge.tf.errors import (
     Refusal,
     TransformError,
 )
-from bridge.tf.frames import Frames
+from bridge.tf.frames import Frame, Frames
 from bridge.tf.history import History
 from bridge.tf.layout import (
     BOUND,
@@ -61,7 +61,7 @@ OTHER_SCALE = 86_400 * _SECOND
 class TransformBuffer:
     """Histories of frames, and transforms between any two of them at any time in them, as tf2's buffer has.
 
-    Safe to use from any thread. Stamps are in ns. A name may begin with a slash, which is left out.
+    Safe to use from any thread. Stamps are in ns. Slashes that a name begins with are left out.
 
     Args:
         cache_time: seconds of history before each frame's newest transform.
@@ -74,11 +74,12 @@ class TransformBuffer:
     ) -> None:
         self._frames = Frames()
         self._numbers = self._frames.numbers
+        self._known: dict[str, Frame] = {}  # those that have transforms, or had and were cleared
         self._history = History(round(cache_time * _SECOND))
         self._max_future = round(max_future * _SECOND)
         self._now = now
-        self._changed = threading.Condition(threading.Lock())
-        self._lock = self._changed
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._waiting = 0
         self.refused: Counter[Refusal] = Counter()
         """How many transforms were not taken up, by why."""
@@ -118,36 +119,53 @@ class TransformBuffer:
         """
         x, y, z = translation
         qx, qy, qz, qw = rotation
-        stamp = operator.index(stamp)
+        if type(stamp) is not int:
+            stamp = operator.index(stamp)
         pose = (x, y, z, qx, qy, qz, qw)
-        parent, child = frame_id.removeprefix("/"), child_frame_id.removeprefix("/")
         with self._lock:
-            refusal = self._set(parent, child, stamp, pose, authority, static)
+            frame = self._known.get(child_frame_id)
+            parent = self._numbers.get(frame_id)
+            if frame is None or parent is None or parent == frame.number:
+                refusal = self._begin(frame_id.lstrip("/"), child_frame_id.lstrip("/"), stamp, pose, authority, static)
+            else:
+                refusal = self._insert(frame, parent, stamp, pose, authority, static)
             if refusal is not None:
-                self._refuse(refusal, parent, child, stamp, authority)
+                self._refuse(refusal, frame_id, child_frame_id, stamp, authority)
             elif self._waiting:
                 self._changed.notify_all()
         return refusal
 
-    def _set(
+    def _begin(
         self, parent: str, child: str, stamp: int, pose: tuple[float, ...], authority: str, static: bool
     ) -> Refusal | None:
-        number, above = self._numbers.get(child), self._numbers.get(parent)
-        new = number is None or above is None or number == above or self._frames[number].kind == NONE
-        if new and (wrong := self._wrong(parent, child, pose)):
+        """Take up a transform of frames that may be new, or whose names are not in their normal form."""
+        if wrong := self._wrong(parent, child, pose):
             return wrong
-        if (not static or (number and self._history.kind(number) == TIMED)) and (late := self._untimely(stamp)):
-            return late
-        frame, above = self._frames.get(child), self._frames.get(parent).number
+        frame = self._known.get(child)
+        if frame is None:
+            if not static and (late := self._untimely(stamp)):
+                return late
+            frame = self._frames.get(child)
+        above = self._frames.get(parent).number
         self._history.make_room(max(frame.number, above))
         if frame.kind == NONE:
-            frame.kind = STATIC if static else TIMED
             self._history.begin(frame.number, static=static)
-        answer = self._history.insert(frame.number, above, stamp, pose)
+            frame.kind = STATIC if static else TIMED
+            self._known[child] = frame
+        return self._insert(frame, above, stamp, pose, authority, static)
+
+    def _insert(
+        self, frame: Frame, parent: int, stamp: int, pose: tuple[float, ...], authority: str, static: bool
+    ) -> Refusal | None:
+        if (self._now is not None or not 0 <= stamp < _LAST_STAMP) and (not static or frame.kind == TIMED):
+            late = self._untimely(stamp)
+            if late is not None:
+                return late
+        answer = self._history.insert(frame.number, parent, stamp, pose)
         if answer != DONE:
             return _REFUSALS[answer]
-        if frame.parent != above or frame.authority != authority:
-            frame.switch(above, authority)
+        if frame.parent != parent or frame.authority != authority:
+            frame.switch(parent, authority)
         frame.stamp = stamp
         return None
 
@@ -207,7 +225,7 @@ class TransformBuffer:
             InvalidArgumentError: a name is empty.
         """
         horizon = round(extrapolate * _SECOND)
-        target, source = target_frame.removeprefix("/"), source_frame.removeprefix("/")
+        target, source = target_frame.lstrip("/"), source_frame.lstrip("/")
         with self._lock:
             if timeout > 0.0:
                 return self._wait(timeout, lambda: self._lookup(target, source, stamp, horizon))
@@ -236,7 +254,7 @@ class TransformBuffer:
             extrapolate: as there.
         """
         horizon = round(extrapolate * _SECOND)
-        target, source, fixed = (name.removeprefix("/") for name in (target_frame, source_frame, fixed_frame))
+        target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
 
         def both() -> Transform:
             for name, role in ((target, "target"), (source, "source"), (fixed, "fixed")):
@@ -280,7 +298,7 @@ class TransformBuffer:
             TransformError: there is no fixed frame at ``target_stamp``: as `lookup_transform` says.
         """
         horizon = round(extrapolate * _SECOND)
-        target, source, fixed = (name.removeprefix("/") for name in (target_frame, source_frame, fixed_frame))
+        target, source, fixed = (name.lstrip("/") for name in (target_frame, source_frame, fixed_frame))
         times: NDArray[np.int64] = np.array(stamps, np.int64, ndmin=1, order="C").ravel()
         with self._lock:
             then = self._lookup(target, fixed, target_stamp, horizon) if fixed else None
@@ -343,13 +361,12 @@ class TransformBuffer:
     def remove(self, child_frame_id: str) -> bool:
         """Forget a frame's transforms, static or not; whether it had any."""
         with self._lock:
-            number = self._numbers.get(child_frame_id.removeprefix("/"))
-            if number is None or not self._history.newest(number)[0]:
+            frame = self._known.pop(child_frame_id.lstrip("/"), None)
+            if frame is None:
                 return False
-            frame = self._frames[number]
             frame.forget_sources()
             frame.kind = NONE
-            self._history.forget(number)
+            self._history.forget(frame.number)
             return True
 
     def frames(self) -> list[FrameInfo]:
@@ -412,9 +429,9 @@ class TransformBuffer:
         return self._history.lookup_many(one, two, times, horizon)
 
     def _identity(self, name: str, stamp: int) -> Transform:
-        number = self._numbers.get(name)
-        if stamp == LATEST and number is not None and self._frames[number].kind == TIMED:
-            stamp = self._history.newest(number)[1]
+        frame = self._known.get(name)
+        if stamp == LATEST and frame is not None and frame.kind == TIMED:
+            stamp = self._history.newest(frame.number)[1]
         return Transform(name, name, stamp, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
     def _number(self, name: str, role: str) -> int:

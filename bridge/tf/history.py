@@ -59,10 +59,6 @@ class History:
             self._table = table
             self._addresses()
 
-    def kind(self, frame: int) -> int:
-        """`NONE`, `TIMED` or `STATIC`."""
-        return int(self._table[frame, KIND])
-
     def begin(self, frame: int, *, static: bool) -> None:
         """Give a frame without transforms its kind and its ring."""
         row = self._table[frame]

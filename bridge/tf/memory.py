@@ -10,19 +10,19 @@ from numba import types
 from numba.extending import intrinsic
 
 _declare: Any = intrinsic
+_types: Any = types
 
 
 def _pointer(element: Any, machine_type: Any) -> Callable[[int], Any]:
     """An intrinsic that takes an address for the start of a C array."""
 
-    @_declare
     def pointer(_typing: Any, _address: Any) -> Any:
         def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             return builder.inttoptr(arguments[0], machine_type.as_pointer())
 
-        return types.CPointer(element)(types.int64), generate
+        return _types.CPointer(element)(_types.int64), generate
 
-    made: Callable[[int], Any] = pointer
+    made: Callable[[int], Any] = _declare(pointer)
     return made
 
 

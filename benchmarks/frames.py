@@ -1,0 +1,214 @@
+"""Lookups and inserts of Midspan's transform buffer beside those of ROS 1's tf2 (tf2_py), each in a process of its own.
+
+Both have the same transforms and are asked the same questions, and take turns, round by round. tf2's messages are made
+beforehand for the inserts; its answers are messages, as its users get them. Each figure is the median over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import random
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+
+SYSTEM_PYTHON = "/usr/bin/python3"
+SECOND = 1_000_000_000
+FRAMES = 20
+SAMPLES = 500
+RATE = 100
+START = 1_000_000 * SECOND
+BATCH = 720
+LOOKUPS = 5_000
+
+Sample = tuple[str, str, int, tuple[float, float, float], tuple[float, float, float, float]]
+Measure = Callable[[], float]
+
+
+def samples() -> list[Sample]:
+    """A chain of frames that all move, in the order of time."""
+    dice = random.Random(6)
+    turns = [[dice.gauss(0, 1) for _ in range(4)] for _ in range(FRAMES)]
+    made: list[Sample] = []
+    for n in range(SAMPLES):
+        for k, turn in enumerate(turns):
+            parts = [part + 0.001 * n for part in turn]
+            length = math.sqrt(sum(part * part for part in parts))
+            x, y, z, w = (part / length for part in parts)
+            made.append((f"f{k}", f"f{k + 1}", START + n * SECOND // RATE, (0.1 * k, 0.01 * n, 1.0), (x, y, z, w)))
+    return made
+
+
+def stamps(count: int) -> list[int]:
+    """Times within the history."""
+    dice = random.Random(7)
+    return [START + dice.randrange((SAMPLES - 1) * SECOND // RATE) for _ in range(count)]
+
+
+def per_second(count: int, work: Callable[[], object]) -> float:
+    """How many of a work's ``count`` parts are done in a second."""
+    start = time.perf_counter()
+    work()
+    return count / (time.perf_counter() - start)
+
+
+def ours() -> dict[str, Measure]:
+    """The cases with Midspan's buffer."""
+    from bridge.tf.buffer import TransformBuffer  # the other side has none of this
+
+    told, times = samples(), stamps(LOOKUPS)
+    buffer = TransformBuffer()
+
+    def insert(into: TransformBuffer) -> None:
+        for parent, child, stamp, moved, turned in told:
+            into.set_transform(parent, child, stamp, moved, turned, "bench")
+
+    def lookup(frame: str) -> None:
+        for stamp in times:
+            buffer.lookup_transform("f0", frame, stamp)
+
+    def latest(frame: str) -> None:
+        for _ in times:
+            buffer.lookup_transform("f0", frame)
+
+    def batch(frame: str) -> None:
+        for at in range(0, LOOKUPS // BATCH * BATCH, BATCH):
+            buffer.lookup_many("f0", frame, times[at : at + BATCH])
+
+    insert(buffer)
+    return _measures(lambda: insert(TransformBuffer()), lookup, latest, batch)
+
+
+def tf2() -> dict[str, Measure]:
+    """The cases with tf2; a batch is a loop."""
+    import genpy  # the system's Python alone has these
+    import tf2_py  # type: ignore[import-not-found]
+    from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+
+    times = [genpy.Time(*divmod(stamp, SECOND)) for stamp in stamps(LOOKUPS)]
+    told = []
+    for parent, child, stamp, moved, turned in samples():
+        message = TransformStamped()
+        message.header.frame_id, message.child_frame_id = parent, child
+        message.header.stamp = genpy.Time(*divmod(stamp, SECOND))
+        message.transform.translation, message.transform.rotation = Vector3(*moved), Quaternion(*turned)
+        told.append(message)
+    buffer = tf2_py.BufferCore(genpy.Duration(10.0))
+    newest = genpy.Time()
+
+    def insert(into: Any) -> None:
+        for message in told:
+            into.set_transform(message, "bench")
+
+    def lookup(frame: str) -> None:
+        for stamp in times:
+            buffer.lookup_transform_core("f0", frame, stamp)
+
+    def latest(frame: str) -> None:
+        for _ in times:
+            buffer.lookup_transform_core("f0", frame, newest)
+
+    def batch(frame: str) -> None:
+        for stamp in times[: LOOKUPS // BATCH * BATCH]:
+            buffer.lookup_transform_core("f0", frame, stamp)
+
+    insert(buffer)
+    return _measures(lambda: insert(tf2_py.BufferCore(genpy.Duration(10.0))), lookup, latest, batch)
+
+
+def _measures(
+    insert: Callable[[], None],
+    lookup: Callable[[str], None],
+    latest: Callable[[str], None],
+    batch: Callable[[str], None],
+) -> dict[str, Measure]:
+    cases: dict[str, Measure] = {"insert": lambda: per_second(FRAMES * SAMPLES, insert)}
+    whole = LOOKUPS // BATCH * BATCH
+    for depth in (5, FRAMES):
+        frame = f"f{depth}"
+        cases[f"lookup through {depth}"] = lambda frame=frame: per_second(LOOKUPS, lambda: lookup(frame))  # type: ignore[misc]
+        cases[f"latest through {depth}"] = lambda frame=frame: per_second(LOOKUPS, lambda: latest(frame))  # type: ignore[misc]
+        cases[f"{BATCH} times at once through {depth}"] = lambda frame=frame: per_second(whole, lambda: batch(frame))  # type: ignore[misc]
+    return cases
+
+
+def serve(side: str) -> None:
+    """Measure each case that standard input names."""
+    cases = ours() if side == "ours" else tf2()
+    print(json.dumps(list(cases)), flush=True)
+    for line in sys.stdin:
+        print(json.dumps(cases[line.strip()]()), flush=True)
+
+
+class Side:
+    """One side's process."""
+
+    def __init__(self, side: str, python: str) -> None:
+        command = [python, str(Path(__file__).resolve()), "--side", side]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.cases: list[str] = self._answer()
+
+    def measure(self, case: str) -> float:
+        """One round of a case, per second."""
+        assert self._process.stdin is not None
+        print(case, file=self._process.stdin, flush=True)
+        return float(self._answer())
+
+    def close(self) -> None:
+        """Let it end."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            self._process.wait()
+            msg = "a side ended; tf2 needs python3-tf2 (Debian, Ubuntu: apt install python3-tf2)"
+            raise SystemExit(msg)
+        return json.loads(line)
+
+
+def compare(rounds: int) -> list[Row]:
+    """The rows of all cases."""
+    sides = [Side("ours", sys.executable), Side("tf2", SYSTEM_PYTHON)]
+    try:
+        found: dict[str, list[list[float]]] = {case: [[], []] for case in sides[0].cases}
+        for number in range(rounds):
+            for case, figures in found.items():
+                for which in (0, 1) if number % 2 == 0 else (1, 0):
+                    figures[which].append(sides[which].measure(case))
+    finally:
+        for side in sides:
+            side.close()
+    thousands = {case: [statistics.median(side) / 1000 for side in figures] for case, figures in found.items()}
+    return [Row(f"{case}, tf2", one, two, "k/s", "more") for case, (one, two) in thousands.items()]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=11, help="rounds of each case (default 11)")
+    parser.add_argument("--side", choices=("ours", "tf2"), help=argparse.SUPPRESS)
+    add_json_option(parser)
+    options = parser.parse_args(arguments)
+    if options.side:
+        serve(options.side)
+    else:
+        report(compare(options.rounds), options.json)
+
+
+if __name__ == "__main__":
+    main()

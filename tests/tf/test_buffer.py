@@ -1,0 +1,333 @@
+"""What the buffer does beyond tf2, or where tf2's answers do not show it."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from bridge.tf import frames as frames_module
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import (
+    ConnectivityError,
+    ExtrapolationError,
+    InvalidArgumentError,
+    LookupError_,
+    Refusal,
+)
+from bridge.tf.history import LARGEST
+from tests.support.wait import until
+
+S = 1_000_000_000
+START = 1_790_000_000 * S
+UNIT = (0.0, 0.0, 0.0, 1.0)
+
+
+def about_z(angle: float) -> tuple[float, float, float, float]:
+    return 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
+
+
+def moving(buffer: TransformBuffer, parent: str, child: str, seconds: float = 1.0, rate: int = 100) -> None:
+    """1 m/s along x, and 0.5 rad/s about z."""
+    for n in range(round(seconds * rate) + 1):
+        at = n / rate
+        assert (
+            buffer.set_transform(parent, child, START + n * S // rate, (at, 0, 0), about_z(0.5 * at), "mover") is None
+        )
+
+
+@pytest.fixture
+def buffer() -> TransformBuffer:
+    return TransformBuffer()
+
+
+def test_nothing_is_extrapolated_unless_asked_for_and_then_no_further(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base")
+    late, early = START + S + S // 5, START - S // 5
+    for stamp, word in ((late, "future"), (early, "past")):
+        with pytest.raises(ExtrapolationError, match=f"0.200000000s into the {word}"):
+            buffer.lookup_transform("odom", "base", stamp)
+        with pytest.raises(ExtrapolationError):
+            buffer.lookup_transform("odom", "base", stamp, extrapolate=0.19)
+        found = buffer.lookup_transform("odom", "base", stamp, extrapolate=0.2)
+        at = (stamp - START) / S
+        assert found.stamp == stamp
+        assert found.translation == pytest.approx((at, 0, 0))
+        assert found.rotation == pytest.approx(about_z(0.5 * at))
+
+
+def test_a_frame_goes_on_as_it_did_over_as_long_a_time(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base")
+    jitter = START + S + S // 1000
+    buffer.set_transform("odom", "base", jitter, (1.011, 0, 0), about_z(0.5))  # 1 cm off, 1 ms later
+    found = buffer.lookup_transform("odom", "base", jitter + S // 2, extrapolate=1.0)
+    assert found.translation[0] == pytest.approx(1.5, abs=0.03)
+
+
+def test_one_sample_says_nothing_of_other_times(buffer: TransformBuffer) -> None:
+    buffer.set_transform("odom", "base", START, (1, 2, 3), UNIT)
+    with pytest.raises(ExtrapolationError, match="only time"):
+        buffer.lookup_transform("odom", "base", START + 1, extrapolate=1.0)
+
+
+def test_the_last_parent_alone_is_extrapolated(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base")
+    buffer.set_transform("map", "base", START + 2 * S, (9, 0, 0), UNIT)
+    found = buffer.lookup_transform("map", "base", START + 2 * S + S // 10, extrapolate=0.5)
+    assert found.translation == (9, 0, 0)
+
+
+def test_stamps_are_held_against_the_clock() -> None:
+    now = START
+    buffer = TransformBuffer(max_future=2.0, now=lambda: now)
+
+    def told(stamp: int, **more: bool) -> Refusal | None:
+        return buffer.set_transform("map", "odom", stamp, (0, 0, 0), UNIT, "amcl", **more)
+
+    assert told(now - 60 * S) is None
+    assert told(now + 2 * S) is None
+    assert told(now + 2 * S + 1) is Refusal.FUTURE
+    assert told(now + 3600 * S) is Refusal.FUTURE
+    assert told(17 * S) is Refusal.TIME_SCALE  # a simulation's
+    assert told(0) is Refusal.TIME_SCALE
+    assert told(-1) is Refusal.INVALID_STAMP
+    assert told(1 << 70) is Refusal.INVALID_STAMP
+    assert told(1 << 61, static=True) is Refusal.TIME_SCALE  # the frame has a history, which that would end
+    assert buffer.set_transform("base", "laser", 0, (0, 0, 0), UNIT, static=True) is None
+    assert buffer.refused == {Refusal.FUTURE: 2, Refusal.TIME_SCALE: 3, Refusal.INVALID_STAMP: 2}
+    assert "amcl" in buffer.last_refused[Refusal.TIME_SCALE]
+    assert "use_sim_time" in buffer.last_refused[Refusal.TIME_SCALE]
+    assert buffer.lookup_transform("map", "odom").stamp == now + 2 * S
+    now = 5 * S  # a run on /clock that hears a stamp of the machine's clock
+    assert told(START) is Refusal.TIME_SCALE
+
+
+def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "bridge.tf.buffer"):
+        for _ in range(5):
+            buffer.set_transform("a", "b", START, (math.nan, 0, 0), UNIT, "me")
+        buffer.set_transform("a", "a", START, (0, 0, 0), UNIT, "me")
+    assert [record.getMessage().split(":")[0] for record in caplog.records] == ["TF_NAN_INPUT", "TF_SELF_TRANSFORM"]
+    assert buffer.refused == {Refusal.NAN_INPUT: 5, Refusal.SELF_TRANSFORM: 1}
+    assert buffer.can_transform("a", "b") == (
+        False,
+        '"a" passed to lookupTransform argument target_frame does not exist. ',
+    )
+
+
+@pytest.mark.parametrize(
+    ("stamp", "moved", "turned"),
+    [(1.5, (0, 0, 0), UNIT), (START, (0, 0), UNIT), (START, (0, 0, 0), (0, 0, 1)), (START, ("x", 0, 0), UNIT)],
+)
+def test_what_are_no_numbers_is_told_to_the_caller(
+    buffer: TransformBuffer, stamp: int, moved: tuple, turned: tuple
+) -> None:
+    with pytest.raises((TypeError, ValueError)):
+        buffer.set_transform("a", "b", stamp, moved, turned)
+    assert buffer.frames() == []
+    buffer.set_transform("a", "b", np.int64(START), np.ones(3), np.array(UNIT))
+    assert buffer.lookup_transform("a", "b").translation == (1, 1, 1)
+
+
+def test_of_two_parents_the_newest_wins_and_both_are_told(buffer: TransformBuffer) -> None:
+    for n in range(5):
+        at = START + n * S // 10
+        buffer.set_transform("odom", "base", at, (1, 0, 0), UNIT, "wheels")
+        buffer.set_transform("/map", "/base", at + 1, (2, 0, 0), UNIT, "gps")
+    assert buffer.lookup_transform("map", "base").translation == (2, 0, 0)
+    with pytest.raises(ConnectivityError, match="two or more unconnected trees"):
+        buffer.lookup_transform("odom", "base")
+    (conflict,) = buffer.conflicts()
+    assert conflict.name == "base"
+    assert conflict.parent == "map"
+    assert {(s.parent, s.authority, s.stamp) for s in conflict.sources} == {
+        ("odom", "wheels", at),
+        ("map", "gps", at + 1),
+    }
+    assert "wheels under odom" in buffer.tree()
+    assert '"odom" -> "base"[style=dashed]' in buffer.dot()
+    buffer.set_transform("map", "base", at + 11 * S, (2, 0, 0), UNIT, "gps")
+    assert not buffer.conflicts(), "wheels has been silent for the whole history"
+
+
+def test_loops_are_refused_where_they_are_met(buffer: TransformBuffer) -> None:
+    for parent, child in (("a", "b"), ("b", "c"), ("c", "a"), ("a", "d"), ("x", "elsewhere")):
+        assert buffer.set_transform(parent, child, START, (1, 0, 0), UNIT) is None
+    for stamp in (0, START):
+        with pytest.raises(LookupError_, match="contains a loop"):
+            buffer.lookup_transform("elsewhere", "d", stamp)
+    assert buffer.loops == 2
+    assert "loop, through a:" in buffer.tree()
+    assert len(buffer.tree().splitlines()) == 7  # x, elsewhere, the loop's line, and its four
+
+
+def test_names(buffer: TransformBuffer) -> None:
+    assert buffer.set_transform("/map", "/odom", START, (1, 0, 0), UNIT) is None
+    assert buffer.lookup_transform("map", "/odom").frame_id == "map"
+    assert buffer.set_transform("map", "/", START, (1, 0, 0), UNIT) is Refusal.NO_CHILD_FRAME_ID
+    assert buffer.set_transform("/map", "map", START, (1, 0, 0), UNIT) is Refusal.SELF_TRANSFORM
+    with pytest.raises(InvalidArgumentError, match="cannot be empty"):
+        buffer.lookup_transform("map", "", timeout=30)
+    assert buffer.can_transform_full("map", 0, "odom", START, "map") == (True, "")
+    assert "fixed_frame" in buffer.can_transform_full("map", 0, "odom", START, "nowhere")[1]
+
+
+@pytest.fixture
+def asker() -> Iterator[list[threading.Thread]]:
+    threads: list[threading.Thread] = []
+    yield threads
+    for thread in threads:
+        thread.join(30)
+
+
+def test_a_lookup_waits_for_what_comes(buffer: TransformBuffer, asker: list[threading.Thread]) -> None:
+    answers: list[object] = []
+
+    def ask() -> None:
+        answers.append(buffer.lookup_transform("map", "base", START + S // 2, timeout=40))
+
+    asker.append(threading.Thread(target=ask))
+    asker[0].start()
+    until(lambda: buffer._waiting == 1, "it waits", 30)
+    buffer.set_transform("map", "odom", START, (1, 0, 0), UNIT, static=True)
+    assert not answers
+    moving(buffer, "odom", "base")
+    until(lambda: answers, "it has its answer long before its deadline", 20)
+    assert answers[0].translation == pytest.approx((1.5, 0, 0))  # type: ignore[attr-defined]
+
+
+def test_a_wait_ends_at_its_deadline_with_the_reason(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base")
+    start = time.monotonic()
+    possible, why = buffer.can_transform("odom", "base", START + 9 * S, timeout=0.2)
+    assert not possible
+    assert "into the future" in why
+    assert time.monotonic() - start >= 0.2
+
+
+def test_many_times_at_once(buffer: TransformBuffer) -> None:
+    moving(buffer, "map", "odom", 1.0)
+    moving(buffer, "odom", "base", 1.0)
+    buffer.set_transform("base", "laser", 0, (0.2, 0, 0.1), UNIT, static=True)
+    stamps = START + np.linspace(-S // 10, 11 * S // 10, 97).astype(np.int64)
+    found = buffer.lookup_many("map", "laser", stamps)
+    full = buffer.lookup_many("base", "laser", stamps, fixed_frame="map", target_stamp=START + S)
+    assert 0 < found.known.sum() < len(stamps)
+    for n, stamp in enumerate(stamps.tolist()):
+        assert found.known[n] == full.known[n] == (0 <= stamp - START <= S)
+        if not found.known[n]:
+            assert np.isnan(found.translations[n]).all()
+            assert np.isnan(full.rotations[n]).all()
+            continue
+        one = buffer.lookup_transform("map", "laser", stamp)
+        assert (*found.translations[n], *found.rotations[n]) == (*one.translation, *one.rotation)
+        two = buffer.lookup_transform_full("base", START + S, "laser", stamp, "map")
+        assert (*full.translations[n], *full.rotations[n]) == (*two.translation, *two.rotation)
+    assert buffer.lookup_many("map", "laser", stamps, extrapolate=0.1).known.all()
+    assert buffer.lookup_many("map", "map", [START, 0]).rotations.tolist() == [list(UNIT)] * 2
+    assert buffer.lookup_many("map", "laser", [0]).stamps.tolist() == [START + S]
+    with pytest.raises(LookupError_):
+        buffer.lookup_many("map", "nowhere", stamps)
+
+
+def test_clear_keeps_static_frames(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base")
+    buffer.set_transform("base", "laser", 0, (0, 0, 1), UNIT, "urdf", static=True)
+    assert buffer.set_transform("odom", "base", 5 * S, (0, 0, 0), UNIT) is Refusal.OLD_DATA
+    buffer.clear()
+    assert not buffer.can_transform("odom", "base")[0]
+    assert buffer.lookup_transform("base", "laser", 7 * S).translation == (0, 0, 1)
+    assert buffer.set_transform("odom", "base", 5 * S, (3, 0, 0), UNIT) is None
+    assert buffer.lookup_transform("odom", "laser").translation == (3, 0, 1)
+    assert [info.name for info in buffer.frames()] == ["base", "laser"]
+
+
+def test_a_removed_frame_may_come_again_as_another_kind(buffer: TransformBuffer) -> None:
+    buffer.set_transform("a", "b", 0, (1, 0, 0), UNIT, static=True)
+    assert buffer.remove("/b")
+    assert not buffer.remove("b")
+    assert not buffer.can_transform("a", "b")[0]
+    assert buffer.frames() == []
+    moving(buffer, "a", "b")
+    assert buffer.lookup_transform("a", "b", START + S // 2).translation == pytest.approx((0.5, 0, 0))
+
+
+def test_whole_histories_of_many_frames_are_kept(buffer: TransformBuffer) -> None:
+    for n in range(150):
+        for k in range(200):
+            buffer.set_transform("world", f"f{k}", START + n * S // 10, (n, k, 0), UNIT)
+    for k in range(200):
+        found = buffer.lookup_many("world", f"f{k}", START + np.arange(150) * S // 10)
+        assert found.known.tolist() == [False] * 49 + [True] * 101  # 10 s before the newest, and that one
+        assert (found.translations[49:] == [(n, k, 0) for n in range(49, 150)]).all()
+
+
+def test_a_known_frame_may_get_a_new_parent_at_any_number(buffer: TransformBuffer) -> None:
+    for n in range(300):
+        buffer.set_transform(f"new{n}", "base", START + n, (n, 0, 0), UNIT)
+        assert buffer.lookup_transform(f"new{n}", "base").translation == (n, 0, 0)
+
+
+def test_a_fast_frame_fills_no_memory(buffer: TransformBuffer) -> None:
+    for n in range(LARGEST + 100):
+        buffer.set_transform("a", "b", START + 1000 * n, (n, 0, 0), UNIT)
+    (info,) = buffer.frames()
+    assert info.samples == LARGEST
+    assert info.oldest == START + 100_000
+    assert buffer.lookup_transform("a", "b", info.oldest + 500).translation == pytest.approx((100.5, 0, 0))
+
+
+def test_made_up_names_fill_no_memory(buffer: TransformBuffer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames_module, "MAX_FRAMES", 10)
+    said = [buffer.set_transform("a", f"b{n}", START, (0, 0, 0), UNIT) for n in range(20)]
+    assert said.count(Refusal.TOO_MANY_FRAMES) > 5
+    assert buffer.set_transform("a", "b0", START + 1, (0, 0, 0), UNIT) is None
+
+
+def test_frames_tell_rate_age_and_authority(buffer: TransformBuffer) -> None:
+    moving(buffer, "odom", "base", 2.0, rate=20)
+    buffer.set_transform("base", "laser", 0, (0, 0, 1), UNIT, "urdf", static=True)
+    base, laser = buffer.frames()
+    assert (base.parent, base.authority, base.static, base.newest, base.samples) == (
+        "odom",
+        "mover",
+        False,
+        START + 2 * S,
+        41,
+    )
+    assert base.rate == pytest.approx(20)
+    assert (laser.parent, laser.authority, laser.static, laser.newest) == ("base", "urdf", True, 0)
+    assert buffer.tree().splitlines() == [
+        "odom",
+        "  base  (20.0 Hz, newest 1790000002.000 s, mover)",
+        "    laser  (static, urdf)",
+    ]
+    assert buffer.dot().startswith("digraph G {\n")
+    assert '"base" -> "laser"[label="authority: urdf\\nstatic"];' in buffer.dot()
+
+
+def test_threads_look_up_while_others_tell(buffer: TransformBuffer, asker: list[threading.Thread]) -> None:
+    buffer.set_transform("a", "b0", START, (0, 0, 0), UNIT)
+    wrong: list[object] = []
+    told = threading.Event()
+
+    def ask() -> None:
+        while not told.is_set():
+            found = buffer.lookup_transform("a", "b0")
+            if found.translation[0] != (found.stamp - START) / 1000:
+                wrong.append(found)
+
+    for _ in range(2):
+        asker.append(threading.Thread(target=ask))
+        asker[-1].start()
+    for n in range(1, 3000):  # rings and arrays grow meanwhile
+        buffer.set_transform("a", f"b{n % 40}", START + 1000 * n, (n, 0, 0), UNIT)
+    told.set()
+    for thread in asker:
+        thread.join(30)
+    assert not wrong
