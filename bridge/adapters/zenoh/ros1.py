@@ -39,9 +39,9 @@ from bridge.hub.call import Call
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import ConversionError, MessageTypeError
-from bridge.messages.parts import CANCEL_GOAL, is_service
 from bridge.messages.registry import Registry
 from bridge.routing.patterns import glob_regex
+from bridge.routing.subject import split
 
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _NODE = "zenoh-bridge-ros1"
@@ -119,9 +119,9 @@ class Ros1KeysEdge(KeyEdge):
             return self.registry.service_ros1_to_hub(type_name).side.type_id
         return self.registry.ros1(type_name).type_id
 
-    def why_not(self, topic: str, type_name: str) -> str:  # noqa: ARG002
-        """The services of a ROS 2 action are none of ROS 1."""
-        action = type_name == CANCEL_GOAL or ("/action/" in type_name and is_service(type_name))
+    def why_not(self, topic: str, type_name: str) -> str:
+        """The services and topics of a ROS 2 action are none of ROS 1."""
+        action = split(topic)[1] and ("/action/" in type_name or type_name.startswith("action_msgs/"))
         return "actions of ROS 2 do not cross to the ros1 dialect" if action else ""
 
     def warnings(self) -> list[str]:

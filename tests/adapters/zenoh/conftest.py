@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from bridge.adapters.zenoh import edge, ros1_aloha
+from bridge.clock import SYSTEM
 from bridge.config.model import Config
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
 from tests.contract.hubside import HubSide
 from tests.contract.zenohside import PERIOD, ZenohBridge
 from tests.support.quick_hub import QuickHub
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
+from tests.support.zenoh_actions import TEXTS
 from tests.support.zenoh_programs import JsonProgram, Ros1Bridge, Ros2ddsBridge, Router, service_texts
 
-ROS1, ROS2 = (Messages(ros1=ros1, texts=service_texts()) for ros1 in (True, False))
+ROS1, ROS2 = Messages(ros1=True, texts=service_texts()), Messages(ros1=False, texts=service_texts() | TEXTS)
 
 
 class Place:
@@ -31,6 +35,7 @@ class Place:
         self.router = Router()
         self._open: list[Any] = []
         self._far: HubSide | None = None
+        self._node: Node | None = None
 
     def config(self, *dialects: dict[str, Any], name: str = "here", **sections: Any) -> Config:
         """A configuration with these dialects on the network beside the hub's."""
@@ -50,6 +55,19 @@ class Place:
         if self._far is None:
             self._far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
         return self._far
+
+    @property
+    def node(self) -> Node:
+        """A node of the hub that has actions."""
+        if self._node is None:
+            loop = Loop("far")
+            loop.start()
+            self._node = Node(Hub.open(self.hubs.settings("node")), Registry(), loop, SYSTEM)
+        return self._node
+
+    def on_node(self, action: Callable[[], Any]) -> Any:
+        """What an action gives on the node's own thread."""
+        return self.node.loop.call(action)
 
     def ros2dds(self, namespace: str = "") -> Ros2ddsBridge:
         """A zenoh-bridge-ros2dds."""
@@ -92,11 +110,20 @@ class Place:
         answers = self.far.hub.ask("explain", {"topic": topic}, worker=side)
         return [line for a in answers if isinstance(a.value, list) for line in a.value]
 
+    def close_node(self) -> None:
+        """The node leaves."""
+        node, self._node = self._node, None
+        if node is not None:
+            node.close()
+            node.loop.close()
+            node.hub.close()
+
     def close(self) -> None:
         for thing in reversed(self._open):
             thing.stop()
         if self._far is not None:
             self._far.hub.close()
+        self.close_node()
         self.router.stop()
         self.hubs.stop_router()
 

@@ -225,3 +225,36 @@ def test_free_fleet(place: Place) -> None:
     )
     got = cross(place.far, out, fleet, read, {"transforms": [{"child_frame_id": "base_footprint"}]})
     assert got["transforms"][0]["child_frame_id"] == "base_footprint"
+
+
+def test_services_byte_for_byte(place: Place) -> None:
+    """Keys, beacons, requests and responses; a request without bytes is one, and a bridge of any namespace may ask."""
+    set_bool, trigger, yes = "std_srvs/SetBool", "std_srvs/Trigger", {"success": True, "message": "hi"}
+    bridge, named = place.ros1(), place.ros1("robot1")
+    place.bridge({"dialect": "ros1"})
+    served = bridge.ask("serve", service="/in", type=trigger, reply=yes)["id"]
+    assert place.far.call("/in", trigger).result()["reply"] == yes
+    key = "7374645f737276732f54726967676572/937c9679a518e3a18d831e57125ea522/*/in"
+    until(lambda: f"ros1_discovery_info/*/cl/{key}" in bridge.beacons(), "we tell that we call it")
+    assert bridge.ask("requests", id=served)["requests"] == [{"structure_needs_at_least_one_member": 0}]
+    serving = place.far.serve("/out", set_bool, reply=yes)
+    key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
+    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon", 20)
+    for asker in (bridge, named):
+        (reply,) = asker.session.get(key.replace("*", asker._namespace), payload=b"\1", timeout=20.0)
+        assert reply.ok.payload.to_bytes() == b"\1" + HI
+    assert serving.requests(2) == [{"data": True}] * 2
+    for bad in (b"", b"\1\1"):
+        assert "is not what its type says" in bridge.call("/out", set_bool, bad).result()["error"]
+    bridge.drop(served)
+    until(lambda: not place.far.hub.graph.servers("/in"), "it is gone", 20)
+
+
+def test_services_of_actions_stay_away(place: Place) -> None:
+    """ROS 1 has none: explain says so, and nothing is served."""
+    bridge = place.ros1()
+    place.bridge({"dialect": "ros1"})
+    place.node.action_server("/lookup", "tf2_msgs/action/LookupTransform", lambda _goal: True)
+    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "it is decided", 20, every=0.1)
+    assert "actions" in lines[0]["why"]
+    assert not [key for key in bridge.beacons() if "_action" in key]

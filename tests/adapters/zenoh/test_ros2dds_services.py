@@ -1,0 +1,175 @@
+"""Services of the ros2dds dialect, token for token and byte for byte; what all sides share is in the contract suite."""
+
+from __future__ import annotations
+
+import pytest
+import zenoh
+
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from tests.adapters.zenoh.conftest import Place
+from tests.contract.hubside import HubSide
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+SET, TRIGGER = "std_srvs/SetBool", "std_srvs/Trigger"
+SIDE = "zenoh_ros2dds"
+YES = {"success": True, "message": "yes"}
+TRUE = bytes.fromhex("00010000 01")
+REPLY = bytes.fromhex("00010000 01000000 04000000 79657300")
+
+
+def test_out_what_a_bridge_sees(place: Place) -> None:
+    """Our token, and a call byte for byte, by a bridge and by programs that know less."""
+    bridge = place.ros2dds("robot1")
+    place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
+    serving = place.far.serve("/arm/light", SET, reply=YES)
+    place.far.serve("/beep", TRIGGER, reply=YES)
+    token = until(lambda: bridge.tokens("/arm/light", "SS"), "our token", 20)[0]
+    zid = token.split("/")[1]
+    assert token == f"@/{zid}/@ros2_lv/SS/robot1§arm§light/std_srvs§srv§SetBool"
+    assert bridge.call("/arm/light", SET, {"data": True}).result()["reply"] == YES
+
+    def plain(key: str, **more: bytes) -> list[zenoh.Reply]:
+        return list(bridge.session.get(key, timeout=20.0, **more))
+
+    (reply,) = plain("robot1/arm/light", payload=TRUE)
+    assert (reply.ok.payload.to_bytes(), reply.ok.attachment) == (REPLY, None)
+    until(lambda: bridge.tokens("/beep", "SS"), "our token")
+    for payload in ({}, {"payload": b""}, {"payload": b"\0\1\0\0\0"}):
+        (reply,) = plain("robot1/beep", **payload)
+        assert reply.ok.payload.to_bytes() == REPLY
+    # a query without a request is no call of a service whose request has fields, nor is one of many keys
+    assert "has no payload" in plain("robot1/arm/light")[0].err.payload.to_bytes().decode()
+    assert plain("robot1/**", payload=TRUE) == []
+    assert serving.requests() == [{"data": True}] * 2
+    place.far.servers["/arm/light"].close()
+    until(lambda: not bridge.tokens("/arm/light", "SS"), "our token goes with the server")
+
+
+def test_requests_that_are_none(place: Place) -> None:
+    """Each gets an error, is counted, and disturbs nobody."""
+    bridge = place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    serving = place.far.serve("/do", SET, reply=YES)
+    until(lambda: bridge.tokens("/do", "SS"), "our token", 20)
+    for bad in (b"\0", b"\0\1\0\0", b"\0\0\0\0\1", TRUE + b"more of it", b"\xff" * 100_000):
+        assert "is not what its type says" in bridge.call("/do", SET, bad).result()["error"]
+    assert serving.requests(0) == []
+    assert bridge.call("/do", SET, {"data": True}).result()["reply"] == YES
+    route = place.route(SIDE, "/do", "out")
+    assert (route["errors"], route["replies"], route["pending"]) == (5, 1, 0)
+    assert route["drops"]["bad"] == 5
+
+
+def test_in_what_a_bridge_gets(place: Place) -> None:
+    """Our token, and a request's id, as another bridge would send it."""
+    bridge = place.ros2dds()
+    served = bridge.ask("serve", service="/do", type=SET, reply=YES)["id"]
+    place.bridge({"dialect": "ros2dds"})
+    assert place.far.call("/do", SET, data=True).result()["reply"] == YES
+    assert place.far.call("/do", SET, data=False).result()["reply"] == YES
+    token = bridge.tokens("/do", "SC")[0]
+    assert token == f"@/{token.split('/')[1]}/@ros2_lv/SC/do/std_srvs§srv§SetBool"
+    first, second = bridge.servings[served].attachments
+    assert (len(first), first[:3], first[-1:]) == (20, b"rqh", b"\1")
+    assert first[3:11] == second[3:11]
+    assert int.from_bytes(second[11:19], "little") == int.from_bytes(first[11:19], "little") + 1
+    bridge.drop(served)
+    until(lambda: not bridge.tokens("/do", "SC"), "our token goes with the server")
+
+
+def test_replies_that_are_none_and_errors(place: Place) -> None:
+    """A plain zenoh program may serve what a bridge announces; zenoh's error reply is the caller's."""
+    bridge = place.ros2dds()
+    answers = iter([None, b"\0\1\0\0", b"", REPLY])
+
+    def answer(query: zenoh.Query) -> None:
+        data = next(answers)
+        with query:
+            if data is None:
+                query.reply_err("the arm is stuck")
+            else:
+                query.reply("do", data)
+
+    queryable = bridge.session.declare_queryable("do", zenoh.handlers.Callback(answer, indirect=False))
+    token = bridge.tell("SS", "/do", "std_srvs/srv/SetBool")
+    place.bridge({"dialect": "ros2dds"})
+    assert place.far.call("/do", SET).result()["error"] == "the arm is stuck"
+    for _ in range(2):
+        assert "the reply is not what its type says" in place.far.call("/do", SET).result()["error"]
+    assert place.far.call("/do", SET).result()["reply"] == YES
+    queryable.undeclare()  # the token lives
+    assert "no server" in until(lambda: place.far.call("/do", SET).result()["error"], "an error", 20)
+    token.undeclare()
+
+
+@pytest.mark.parametrize("dialect", ["ros2dds", "ros1"])
+def test_a_hundred_calls_at_once(place: Place, dialect: str) -> None:
+    """Both ways, the held ones among them answered last."""
+    bridge = place.ros2dds() if dialect == "ros2dds" else place.ros1()
+    place.bridge({"dialect": dialect})
+    slow = bridge.ask("serve", service="/slow", type=SET, reply=YES, held=True)["id"]
+    bridge.ask("serve", service="/quick", type=SET, reply=YES)
+    waiting = [place.far.call("/slow", SET, data=True) for _ in range(100)]
+    quick = [place.far.call("/quick", SET) for _ in range(100)]
+    assert [call.result(60)["reply"] for call in quick] == [YES] * 100
+    bridge.ask("requests", id=slow, count=100)
+    assert not any(call.result(0)["done"] for call in waiting)
+    bridge.ask("release", id=slow)
+    assert [call.result(60)["reply"] for call in waiting] == [YES] * 100
+    held = place.far.serve("/held", SET, reply=YES, held=True)
+    place.until_route(f"zenoh_{dialect}", "/held", "out")
+
+    def known() -> bool:
+        return bool(held.requests(1, 0)) or not bridge.call("/held", SET, {"data": True}).ended.wait(0.3)
+
+    until(known, "the way is known", 20)
+    calls = [bridge.call("/held", SET, {"data": False}) for _ in range(100)]
+    held.requests(101)
+    held.release()
+    assert [call.result(60)["reply"] for call in calls] == [YES] * 100
+
+
+def test_a_caller_that_left(place: Place) -> None:
+    """The reply to it gets lost, and nothing else."""
+    leaver, other = place.ros2dds(), place.ros2dds()
+    place.bridge({"dialect": "ros2dds"})
+    serving = place.far.serve("/do", SET, reply=YES, held=True)
+    for bridge in (leaver, other):
+        until(lambda b=bridge: b.tokens("/do", "SS"), "our token", 20)
+    leaver.call("/do", SET, {"data": True})
+    serving.requests(1)
+    waiting = other.call("/do", SET, {"data": False})
+    serving.requests(2)
+    leaver.session.close()
+    leaver.session = None
+    serving.release()
+    assert waiting.result()["reply"] == YES
+    until(lambda: place.route(SIDE, "/do", "out")["pending"] == 0, "nothing waits", every=0.1)
+
+
+@pytest.mark.parametrize("hubs", ["one hub", "two hubs"])
+def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
+    """A call is made once, and nothing is served twice; what one Midspan serves there goes to no other's hub."""
+    bridge = place.ros2dds()
+    served = bridge.ask("serve", service="/in", type=SET, reply=YES)["id"]
+    with QuickHub() as other:
+        place.bridge({"dialect": "ros2dds"}, name="one")
+        hub = {"listen": other.endpoint if hubs == "two hubs" else place.hubs.endpoint}
+        second = place.bridge({"dialect": "ros2dds"}, name="two", hub=hub, state=place.folder / "two")
+        assert place.far.call("/in", SET, data=True).result()["reply"] == YES
+        serving = place.far.serve("/out", SET, reply=YES)
+        until(lambda: bridge.tokens("/out", "SS"), "our token", 20)
+        assert bridge.call("/out", SET, {"data": True}).result()["reply"] == YES
+        assert len(bridge.tokens("/out", "SS")) == 1
+        assert serving.requests() == [{"data": True}]
+        if hubs == "two hubs":
+            end = HubSide(Hub.open(other.settings("far")), Registry())
+            try:
+                assert end.call("/in", SET, data=False).result()["reply"] == YES
+                assert not end.hub.graph.servers("/out")
+            finally:
+                end.hub.close()
+        assert len(bridge.ask("requests", id=served, count=1)["requests"]) == (2 if hubs == "two hubs" else 1)
+        second.stop()
