@@ -157,10 +157,12 @@ class TransformBuffer:
     def _insert(
         self, frame: Frame, parent: int, stamp: int, pose: tuple[float, ...], authority: str, static: bool
     ) -> Refusal | None:
-        if (self._now is not None or not 0 <= stamp < _LAST_STAMP) and (not static or frame.kind == TIMED):
-            late = self._untimely(stamp)
-            if late is not None:
-                return late
+        if (
+            (self._now is not None or not 0 <= stamp < _LAST_STAMP)
+            and (not static or frame.kind == TIMED)
+            and (late := self._untimely(stamp))
+        ):
+            return late
         answer = self._history.insert(frame.number, parent, stamp, pose)
         if answer != DONE:
             return _REFUSALS[answer]

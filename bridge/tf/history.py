@@ -24,7 +24,10 @@ from bridge.tf.layout import (
     TIMED,
 )
 
-SMALLEST = 16
+_insert = kernels.insert
+
+SMALLEST = 64
+GROWTH = 4
 LARGEST = 1 << 14
 """Most samples of a frame: 10 s at 1.6 kHz. The oldest go where there are more."""
 
@@ -39,8 +42,8 @@ class History:
     def __init__(self, span: int) -> None:
         self.span = span
         self._table: NDArray[np.int64] = np.zeros((64, COLUMNS), np.int64)
-        self._keys: NDArray[np.int64] = np.empty((1024, KEY), np.int64)
-        self._poses: NDArray[np.float64] = np.empty((1024, POSE), np.float64)
+        self._keys: NDArray[np.int64] = np.empty((4096, KEY), np.int64)
+        self._poses: NDArray[np.float64] = np.empty((4096, POSE), np.float64)
         self._used = 0
         self._out = np.zeros(2 * POSE, np.float64)
         self._facts = np.zeros(FACTS, np.int64)
@@ -69,12 +72,14 @@ class History:
 
     def insert(self, frame: int, parent: int, stamp: int, pose: tuple[float, ...]) -> int:
         """Put a sample in its place; `DONE`, or why not. The ring grows where it is full."""
-        answer: int = kernels.insert(*self._at, frame, parent, stamp, self.span, 0, *pose)
+        table, keys, poses = self._at
+        x, y, z, qx, qy, qz, qw = pose
+        answer: int = _insert(table, keys, poses, frame, parent, stamp, self.span, 0, x, y, z, qx, qy, qz, qw)
         if answer == FULL:
             force = int(self._table[frame, CAPACITY] >= LARGEST)
             if not force:
                 self._grow(frame)
-            answer = kernels.insert(*self._at, frame, parent, stamp, self.span, force, *pose)
+            answer = _insert(*self._at, frame, parent, stamp, self.span, force, *pose)
         return answer
 
     def lookup(self, target: int, source: int, stamp: int, horizon: int) -> int:
@@ -151,13 +156,9 @@ class History:
         return row[START] + ((row[FIRST] + np.arange(row[COUNT])) & (row[CAPACITY] - 1))
 
     def _grow(self, frame: int) -> None:
-        row = self._table[frame]
-        old = self._places(row)
-        capacity = 2 * int(row[CAPACITY])
+        capacity = GROWTH * int(self._table[frame, CAPACITY])
         start = self._allocate(capacity)
-        self._keys[start : start + len(old)] = self._keys[old]
-        self._poses[start : start + len(old)] = self._poses[old]
-        row[START], row[CAPACITY], row[FIRST] = start, capacity, 0
+        kernels.move_ring(*self._at, frame, start, capacity)
 
     def _allocate(self, count: int) -> int:
         """Room behind what is used. What a ring leaves that grows is not used again; it is less than what it gets."""

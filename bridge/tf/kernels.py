@@ -156,6 +156,14 @@ def _insert(
     return DONE
 
 
+def _move_ring(table: int, keys: int, poses: int, frame: int, start: int, capacity: int) -> None:
+    """Give a frame's samples another place."""
+    row = row_of(table, frame)
+    for n in range(row[COUNT]):
+        _move(keys, poses, place(row, n), start + n)
+    row[START], row[CAPACITY], row[FIRST] = start, capacity, 0
+
+
 def _lookup(
     table: int, keys: int, poses: int, target: int, source: int, time: int, horizon: int, out: int, facts: int
 ) -> int:
@@ -223,6 +231,7 @@ def _compile(function: Callable[..., Any], signature: Any, *, nogil: bool = Fals
 
 pose_flaw = _compile(_pose_flaw, _WORD(*[_FLOAT] * POSE))
 insert = _compile(_insert, _WORD(*[_WORD] * 8, *[_FLOAT] * POSE))
+move_ring = _compile(_move_ring, numba.void(*[_WORD] * 6))
 lookup = _compile(_lookup, _WORD(*[_WORD] * 9))
 lookup_many = _compile(_lookup_many, numba.void(*[_WORD] * 11), nogil=True)
 compose = _compile(_compose, numba.void(*[_WORD] * 3))
