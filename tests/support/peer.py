@@ -16,7 +16,8 @@ the time is over); ``call`` service, type, request, persistent (ROS 1) -> id: a 
 ``result`` id, seconds -> done, reply (None where there is none), error (its text, "" where there is none).
 ROS 2: ``requests`` of ``call`` makes many at once (``replies`` of ``result``), ``echo`` of ``serve`` copies fields
 of the request into the reply ({to: from}), a server with ``error`` never answers. Actions: ``act`` action, type,
-feedback (a list), result, outcome (``succeed``, ``abort``, ``reject``), held, keeps (it refuses to cancel) -> id;
+feedback (a list; ``times`` over, one round each ``period`` seconds), result, outcome (``succeed``, ``abort``,
+``reject``), held, keeps (it refuses to cancel) -> id;
 ``goals`` id, count, seconds -> goals; ``send_goal`` action, type, goal -> id; ``goal`` id, until (fields that must be
 so), seconds -> accepted, feedback, status, result, cancel ([return_code, goals]), ends (how often its end was told);
 ``ask_result`` id (ROS 2): ask for it again; ``cancel`` id.

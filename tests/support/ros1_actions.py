@@ -5,6 +5,7 @@ Runs on the system's Python alone. A goal's ``status`` and ``cancel`` are told a
 # ruff: noqa: ANN003, ANN202, ANN204  # it runs without Midspan
 
 import threading
+import time
 
 import actionlib
 import roslib.message
@@ -29,6 +30,7 @@ class Acting:
         self.fill, self.plain, self.type = fill, plain, params["type"]
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
         self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
+        self.times, self.period = params.get("times", 1), params.get("period", 0.0)
         self.goals, self.handles, self.arrived = [], [], threading.Condition()
         action = part(self.type, "Action")
         self.server = actionlib.ActionServer(params["action"], action, self.on_goal, self.on_cancel, auto_start=False)
@@ -43,8 +45,18 @@ class Acting:
             handle.set_rejected()
             return
         handle.set_accepted()
-        for fields in self.feedback:
-            handle.publish_feedback(self.fill(part(self.type, "Feedback")(), fields))
+        if self.period:
+            threading.Thread(target=self.work, args=(handle,), daemon=True).start()
+            return
+        self.work(handle)
+
+    def work(self, handle):
+        due = time.monotonic()
+        for _ in range(self.times):
+            for fields in self.feedback:
+                handle.publish_feedback(self.fill(part(self.type, "Feedback")(), fields))
+            due += self.period
+            time.sleep(max(0.0, due - time.monotonic()))
         if not self.held:
             self.end(handle)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -107,6 +108,7 @@ class Acting:
         self.type = found(params["type"], "action")
         self.feedback, self.result = params.get("feedback") or [], params.get("result") or {}
         self.outcome, self.held, self.keeps = params.get("outcome", "succeed"), params.get("held"), params.get("keeps")
+        self.times, self.period = params.get("times", 1), params.get("period", 0.0)
         self.goals: list[Any] = []
         self.arrived = threading.Condition()
         self.waits: dict[bytes, Any] = {}
@@ -124,9 +126,11 @@ class Acting:
         with self.arrived:
             self.goals.append(self.plain(handle.request))
             self.arrived.notify_all()
-        for fields in self.feedback:
-            handle.publish_feedback(self.fill(self.type.Feedback(), fields))
-        if self.held:
+        if self.period:
+            threading.Thread(target=self.work, args=(handle,), daemon=True).start()
+        else:
+            self.work(handle)
+        if self.held or self.period:
             await self.waits.setdefault(bytes(handle.goal_id.uuid), Future())
         if handle.is_cancel_requested:
             handle.canceled()
@@ -135,6 +139,16 @@ class Acting:
         else:
             handle.succeed()
         return self.fill(self.type.Result(), self.result)
+
+    def work(self, handle: Any) -> None:
+        due = time.monotonic()
+        for _ in range(self.times):
+            for fields in self.feedback:
+                handle.publish_feedback(self.fill(self.type.Feedback(), fields))
+            due += self.period
+            time.sleep(max(0.0, due - time.monotonic()))
+        if self.period and not self.held:
+            self.end(bytes(handle.goal_id.uuid))
 
     def cancelled(self, handle: Any) -> Any:
         if self.keeps:

@@ -1,0 +1,55 @@
+"""A goal that takes long, with feedback all the time, each way: all feedback comes, and its end.
+
+Real actionlib and rclpy programs on both ends, through the whole daemon, in real time; both ways at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from tests.interop.calls_table import ROS1, ROS2, SUCCEEDED, Pair
+from tests.interop.deployment import Deployment
+
+WAYS = {"ROS 2 client, ROS 1 server": (ROS1, ROS2), "ROS 1 client, ROS 2 server": (ROS2, ROS1)}
+SLACK = 30.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; returns 1 where a goal did not end well, or feedback was lost."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=10.0, help="how long the goals take (default 10)")
+    parser.add_argument("--rate", type=float, default=10.0, help="feedback per second (default 10)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    count = round(args.minutes * 60 * args.rate)
+    rows: list[Row] = []
+    well = True
+    with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
+        deployment.start()
+        programs = {ROS1: deployment.ros1, ROS2: deployment.ros2}
+        pairs = {way: Pair((s, programs[s]()), (c, programs[c]())) for way, (s, c) in WAYS.items()}
+        goals = {}
+        for way, pair in pairs.items():
+            pair.act(pair.name("long"), times=count, period=1 / args.rate)
+            goals[way] = pair.send(pair.name("long")), time.monotonic()
+        for way, pair in pairs.items():
+            goal, began = goals[way]
+            told = pair.client.ask("goal", id=goal, until={"ends": 1}, seconds=args.minutes * 60 + SLACK)
+            took = time.monotonic() - began
+            print(f"{way}: status {told['status']}, told {told['ends']} times, after {took:.1f} s", flush=True)
+            well = well and told["status"] == SUCCEEDED and told["ends"] == 1
+            rows.append(Row(f"{way}, feedback", len(told["feedback"]), count, "messages", "more"))
+    report(rows, args.json)
+    return int(not well or any(row.ours != row.peer for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

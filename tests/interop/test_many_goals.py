@@ -1,0 +1,41 @@
+"""A thousand goals at once through one bridge: each ends in the state that its server gave it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from tests.interop.calls_table import ABORTED, CANCELED, ROS1, ROS2, SUCCEEDED, Pair
+from tests.interop.deployment import Deployment
+
+GOALS = 1000
+SECONDS = 60.0
+OUTCOMES = {"succeed": SUCCEEDED, "abort": ABORTED, "cancel": CANCELED, "reject": 0}
+
+
+def test_a_thousand_goals_at_once_end_as_their_servers_say(running: Deployment) -> None:
+    peers = {ROS1: running.ros1(), ROS2: running.ros2()}
+    for end in ("client", "server"):  # what actionlib itself queues by default is 10 and 50
+        peers[ROS1].ask("set_param", name=f"/actionlib_{end}_pub_queue_size", value=GOALS)
+    for server, client in ((ROS1, ROS2), (ROS2, ROS1)):
+        drive(Pair((server, peers[server]), (client, peers[client])))
+
+
+def drive(pair: Pair) -> None:
+    """All goals are under way before the first one ends."""
+    acting = {o: pair.act(pair.name(o), held=True, outcome=o, depth=GOALS) for o in OUTCOMES}
+    goals = {outcome: list[int]() for outcome in OUTCOMES}
+    for _ in range(GOALS // len(OUTCOMES)):
+        for outcome, sent in goals.items():
+            sent.append(pair.send(pair.name(outcome), depth=GOALS))
+    for outcome, sent in goals.items():
+        for goal in sent:
+            found = pair.told(goal, SECONDS, accepted=outcome != "reject")
+            assert found["ends"] == int(pair.sides[1] == ROS1 and outcome == "reject")  # to actionlib that is an end
+    for goal in goals["cancel"]:
+        pair.client.ask("cancel", id=goal)
+    for outcome in ("succeed", "abort"):
+        pair.server.ask("release", id=acting[outcome])
+    for outcome, status in OUTCOMES.items():
+        ends = Counter(pair.told(goal, SECONDS, status=status)["ends"] for goal in goals[outcome])
+        rejected = outcome == "reject" and pair.sides[1] == ROS2
+        assert ends == {0 if rejected else 1: GOALS // len(OUTCOMES)}
