@@ -1,0 +1,1 @@
+"""Programs of each middleware that serve and call services and actions, for `benchmarks/calls.py`."""
