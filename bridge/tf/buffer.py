@@ -12,9 +12,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bridge.tf import kernels, tree
+from bridge.tf import kernels, reasons, tree
 from bridge.tf.errors import (
-    CURES,
     ConnectivityError,
     ExtrapolationError,
     InvalidArgumentError,
@@ -29,14 +28,11 @@ from bridge.tf.layout import (
     CONNECTIVITY,
     DENORMALIZED,
     DONE,
-    EMPTY,
-    FUTURE,
     LOOP,
     NAN,
     NONE,
     OLD,
     REPEATED,
-    SINGLE,
     STAMP,
     STATIC,
     TIMED,
@@ -195,9 +191,7 @@ class TransformBuffer:
 
     def _refuse(self, why: Refusal, parent: str, child: str, stamp: int, authority: str) -> None:
         self.refused[why] += 1
-        told = (
-            f'{why}: the transform from "{parent}" to "{child}" at {_seconds(stamp):.9f} of "{authority}": {CURES[why]}'
-        )
+        told = reasons.refusal(why, parent, child, stamp, authority)
         self.last_refused[why] = told
         if self.refused[why] == 1:  # more of a kind are counted only: a publisher may send a hundred a second
             _log.warning("%s (more of these are only counted)", told)
@@ -437,45 +431,19 @@ class TransformBuffer:
         return Transform(name, name, stamp, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
     def _number(self, name: str, role: str) -> int:
-        argument = f"lookupTransform argument {role}_frame"
         if not name:
-            msg = f"Invalid argument passed to {argument} in tf2 frame_ids cannot be empty"
-            raise InvalidArgumentError(msg)
+            raise InvalidArgumentError(reasons.empty_name(role))
         number = self._numbers.get(name)
         if number is None:
-            msg = f'"{name}" passed to {argument} does not exist. '
-            raise LookupError_(msg)
+            raise LookupError_(reasons.unknown_name(name, role))
         return number
 
     def _error(self, answer: int, target: str, source: str) -> TransformError:
         """The error of a lookup, in tf2's words, which people search for."""
         if answer == LOOP:
             self.loops += 1
-            return LookupError_("The tf tree is invalid because it contains a loop.")
+            return LookupError_(reasons.LOOP)
         if answer == CONNECTIVITY:
-            return ConnectivityError(
-                f"Could not find a connection between '{target}' and '{source}' because they are not part of the same"
-                " tree.Tf has two or more unconnected trees."
-            )
+            return ConnectivityError(reasons.connectivity(target, source))
         facts = self._history.facts()
-        said = _extrapolation(facts[STAMP], facts[BOUND], facts[TROUBLE])
-        return ExtrapolationError(f"{said}, when looking up transform from frame [{source}] to frame [{target}]")
-
-
-def _extrapolation(asked: int, bound: int, trouble: int) -> str:
-    """Why there is nothing at a time; the numbers are rounded as in tf2's texts."""
-    if trouble == EMPTY:
-        return ""
-    one, two = _seconds(asked), _seconds(bound)
-    if trouble == SINGLE:
-        return f"Lookup would require extrapolation at time {one:.9f}, but only time {two:.9f} is in the buffer"
-    ahead, known = ("future", "latest") if trouble == FUTURE else ("past", "earliest")
-    return (
-        f"Lookup would require extrapolation {_seconds(abs(asked - bound)):.9f}s into the {ahead}.  Requested time"
-        f" {one:.9f} but the {known} data is at time {two:.9f}"
-    )
-
-
-def _seconds(stamp: int) -> float:
-    seconds, rest = divmod(stamp, _SECOND)
-    return seconds + 1e-9 * rest
+        return ExtrapolationError(reasons.extrapolation(facts[STAMP], facts[BOUND], facts[TROUBLE], target, source))

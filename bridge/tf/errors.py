@@ -39,21 +39,3 @@ class Refusal(StrEnum):
     FUTURE = "FUTURE"
     TIME_SCALE = "TIME_SCALE"
     TOO_MANY_FRAMES = "TOO_MANY_FRAMES"
-
-
-CURES = {
-    Refusal.SELF_TRANSFORM: "frame_id and child_frame_id are the same",
-    Refusal.NO_CHILD_FRAME_ID: "child_frame_id is not set",
-    Refusal.NO_FRAME_ID: "frame_id is not set",
-    Refusal.NAN_INPUT: "a value is not a number: look where its publisher divides by zero",
-    Refusal.DENORMALIZED_QUATERNION: "the rotation's length is not 1: normalise it (0, 0, 0, 1 is no rotation)",
-    Refusal.OLD_DATA: "it is older than the history that is kept before the newest one: its clock is behind, or was set"
-    " back, or a second publisher runs on another clock",
-    Refusal.REPEATED_DATA: "there is one with this stamp: it was sent twice, or comes by two ways",
-    Refusal.INVALID_STAMP: "its stamp is no time",
-    Refusal.FUTURE: "its stamp is further ahead of the clock than max_future: set the machines' clocks",
-    Refusal.TIME_SCALE: "its stamp is of another time scale: its publisher runs on the machine's clock and this on the"
-    " simulation's, or the other way round (use_sim_time)",
-    Refusal.TOO_MANY_FRAMES: "there are too many frames: a publisher makes up names",
-}
-"""What is wrong, and how to mend it."""
