@@ -241,7 +241,8 @@ def test_services_byte_for_byte(place: Place) -> None:
     key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
     until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon", 20)
     for asker in (bridge, named):
-        (reply,) = asker.session.get(key.replace("*", asker._namespace), payload=b"\1", timeout=20.0)
+        its = key.replace("*", asker._namespace)
+        reply = until(lambda k=its, a=asker: list(a.session.get(k, payload=b"\1", timeout=20.0)), "a reply", 20)[0]
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2
     for bad in (b"", b"\1\1"):
