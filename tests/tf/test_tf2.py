@@ -15,7 +15,7 @@ import pytest
 
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import TransformError
-from tests.support.ros1 import ROS1_PYTHON, ros1_environment
+from tests.support.ros1 import ROS1_PYTHON, needs_ros1, ros1_environment
 from tests.tf import trees
 
 TREES = int(os.environ.get("MIDSPAN_TF_TREES", "10000"))
@@ -30,11 +30,6 @@ NAMES = {
 CUT = (116, 162)
 """Where tf2 cuts (cache.cpp: char str[117], str[163])."""
 Answer = tuple
-
-needs_tf2 = pytest.mark.skipif(
-    not Path("/usr/lib/python3/dist-packages/tf2_py").is_dir(),
-    reason="no tf2 of ROS 1 on this machine (Debian, Ubuntu: apt install python3-tf2)",
-)
 
 
 def ask(buffer: TransformBuffer, step: tuple) -> Answer:
@@ -60,7 +55,7 @@ def same_text(ours: str, theirs: str) -> bool:
     return between == ours_between and (mine == said or (len(said) in CUT and mine.startswith(said)))
 
 
-@needs_tf2
+@needs_ros1
 @pytest.mark.real
 def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = int.from_bytes(os.urandom(4), "big")

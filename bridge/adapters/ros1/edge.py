@@ -111,8 +111,9 @@ class Ros1Edge(Edge):
         self._node = Node(name, uri, self._wake_master, self._asked_to_stop, self._links.admit, servers)
         period, daemon = self._config.ros1.poll, self._config.name
         self._master = Master(
-            uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone
-        )
+            uri, self._node, daemon, self._ledger, period, self._seen, listener.edge_failed, self._services.is_gone,
+            simulated=self._config.clock.simulated,
+        )  # fmt: skip
         self._master.start()
 
     def stop(self) -> None:
@@ -204,6 +205,11 @@ class Ros1Edge(Edge):
         warnings = []
         if self._look is None and self._master is not None and self._master.trouble:
             warnings.append(f"no ROS 1 master: {self._master.trouble}")
+        if self._master is not None and self._master.simulated and not self._config.clock.simulated:
+            warnings.append(
+                "the ROS 1 nodes run on /clock (parameter /use_sim_time) and this daemon on the machine's clock: set"
+                " clock.source to sim, or the parameter to false"
+            )
         for link, trouble in sorted(self._prober.troubles().items()):
             warnings.append(f"{link.topic}: its publisher {link.node} does not tell its type: {trouble}")
         heard = {(s.topic, s.node) for s in self._look.subscribers} if self._look is not None else set()

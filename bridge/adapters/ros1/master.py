@@ -32,6 +32,9 @@ _PATIENCE = 5.0
 """Seconds that a master may be silent, on a busy machine, before it counts as away."""
 
 _BATCH = 200
+SIM_TIME = "/use_sim_time"
+"""The parameter by which ROS 1 nodes, as they start, decide to run on ``/clock`` (wiki.ros.org/Clock)."""
+
 _SPARE_NAMES = 9
 
 Seen = Callable[[Look | None], None]
@@ -55,6 +58,7 @@ class Master:
         uri: the master's address.
         trouble: why it is away, "" where it is not.
         looked: ``time.monotonic()`` before the latest look.
+        simulated: whether its nodes are to run on ``/clock``, as its parameter ``/use_sim_time`` said when we joined.
     """
 
     def __init__(
@@ -67,9 +71,12 @@ class Master:
         seen: Seen,
         lost_name: Lost,
         is_dead: Callable[[Link], bool],
+        *,
+        simulated: bool,
     ) -> None:
         self.uri = uri
         self.trouble = ""
+        self.simulated = self._simulated = simulated
         self.looked = float("-inf")
         self._node, self._daemon, self._ledger = node, daemon, ledger
         self._period, self._seen, self._lost_name, self._is_dead = period, seen, lost_name, is_dead
@@ -191,7 +198,15 @@ class Master:
             if self._free_name(look, gone) == name:
                 break
         self._ledger.remember(self.presence())
+        self._agree_on_the_clock()
         _log.info("joined the ROS 1 network %s as %s", look.network, name)
+
+    def _agree_on_the_clock(self) -> None:
+        """Have nodes that start from now on run on ``/clock`` where this run does; else see what they were told."""
+        if self._simulated:
+            self._client.calls([("setParam", (self._node.name, SIM_TIME, True))])
+        else:
+            (self.simulated,) = (bool(v) for v in self._client.calls([("getParam", (self._node.name, SIM_TIME))]))
 
     def _free_name(self, look: Look, dead: set[str]) -> str:
         """Our name, or one made of it where a living node of somebody else has it: the master would end that one."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from bridge.adapters.ros1.environment import worker_environment
 from bridge.config.model import Config
+from bridge.config.sections.clock import ClockSection
 from bridge.config.sections.ros1 import Ros1Section
 from tests.support.peer import Peer
 from tests.support.ros1 import RosMaster
@@ -37,8 +38,11 @@ def text(payload: str) -> str:
 class EdgeUnderTest(Peer):
     """A ROS 1 edge in a process of its own, in the worker's environment."""
 
-    def __init__(self, master: str, state: Path, daemon: str = "robot", **ros1: Any) -> None:
-        config = Config(name=daemon, state=state, ros1=Ros1Section(master=master, **{"poll": 0.1, **ros1}))
+    def __init__(self, master: str, state: Path, daemon: str = "robot", clock: str = "system", **ros1: Any) -> None:
+        source = ClockSection(source=clock)
+        config = Config(
+            name=daemon, state=state, clock=source, ros1=Ros1Section(master=master, **{"poll": 0.1, **ros1})
+        )
         environ = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")}
         environ["XDG_CACHE_HOME"] = str(state / "cache")
         env = worker_environment(config, environ)

@@ -30,6 +30,17 @@ def test_network_identity(master, tmp_path):
         assert "/rosout" not in [t for t, nodes in master.state()["publishers"].items() if "/midspan" in nodes]
 
 
+def test_nodes_that_start_are_told_to_run_on_the_simulations_clock(master, tmp_path):
+    with edge_on(master, tmp_path / "one", node="on_system"):
+        assert "/use_sim_time" not in master.parameters()
+    with edge_on(master, tmp_path / "two", node="on_sim", clock="sim") as edge:
+        assert master.call("getParam", "/use_sim_time") is True
+        assert not [w for w in edge.ask("status")["warnings"] if "/use_sim_time" in w]
+    with edge_on(master, tmp_path / "three", node="beside") as edge:
+        assert [w for w in edge.ask("status")["warnings"] if "clock.source to sim" in w]
+    master.call("deleteParam", "/use_sim_time")
+
+
 def test_a_clean_stop_leaves_nothing(master, tmp_path):
     with master.peer("clean") as peer:
         peer.advertise("/clean/in", "std_msgs/String")
