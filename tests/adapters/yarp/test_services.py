@@ -16,6 +16,7 @@ from bridge.modules.loop import Loop
 from bridge.modules.node import Node
 from tests.adapters.yarp.conftest import Place
 from tests.support.wait import until
+from yarp_compat.naming.errors import PortError
 from yarp_compat.pythonic import Client, Server
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.values import Vocab
@@ -55,9 +56,18 @@ def robot(place: Place) -> Iterator[Robot]:
     return place.keep(Robot(place))
 
 
-def asking(place: Place, port: str, profile: Profile = Profile.YARP3) -> Client:
-    until(lambda: place.names.client.query(port), f"{port} is there", 20)
-    return place.keep(_Closing(Client(port, "/asks", naming=place.names.client, profile=profile).open())).end
+def asking(place: Place, port: str, profile: Profile = Profile.YARP3, name: str = "/asks") -> Client:
+    client = Client(port, name, naming=place.names.client, profile=profile)
+
+    def opened() -> bool:  # a port is registered before it listens
+        try:
+            client.open()
+        except PortError:
+            return False
+        return True
+
+    until(opened, f"{port} is there", 20)
+    return place.keep(_Closing(client)).end
 
 
 class _Closing:
@@ -76,8 +86,7 @@ def test_a_service_of_the_hub_is_an_rpc_port(place: Place, robot: Robot, profile
     client = asking(place, "/midspan/lamp/rpc", profile)
     assert client.ask([True], timeout=20) == [1, "is on"]
     assert client.ask(["on"], timeout=20)[0] == Vocab("fail")
-    plans = Client("/midspan/plan/rpc", naming=place.names.client, profile=profile)
-    with plans:
+    with asking(place, "/midspan/plan/rpc", profile, "/plans") as plans:
         pose = [[0, [12, 5], "map"], [[1.5, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]]
         assert plans.ask([pose, pose, 0.5], timeout=20)[0][0][1:] == [[12, 5], "map"]
 
@@ -93,7 +102,7 @@ def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
     failed = client.ask(["get", 1], timeout=20)
     assert failed[0] == Vocab("fail")
     assert "'set'" in failed[1]
-    with Client("/midspan/clear/rpc", naming=place.names.client) as other:
+    with asking(place, "/midspan/clear/rpc", name="/clears") as other:
         assert other.ask([], timeout=20) == [Vocab("ok")]
     assert cleared
 
