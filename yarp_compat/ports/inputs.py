@@ -179,12 +179,15 @@ class Input:
         raise NotImplementedError
 
     def deliver(self, message: Message) -> Payload:
-        """Give a message that wants a reply to the port's owner; the reply."""
+        """Give a message that wants a reply to the port's owner; the reply. Call `answered` when it is sent."""
         self._waiting = message
         self.port.deliver(message)
         reply = message.wait()
-        self._waiting = None
         return EMPTY if reply is None else reply
+
+    def answered(self) -> None:
+        """The reply is sent."""
+        self._waiting = None
 
 
 class BinaryInput(Input):
@@ -206,6 +209,7 @@ class BinaryInput(Input):
                 self.counters.received += 1
                 message = Message(payload, text[2:], self, wants_reply=True)
                 self._answer(self.deliver(message), ack)
+                self.answered()
             elif key == "a":
                 self._answer(self.port.administer(payload, self), ack)
                 continue

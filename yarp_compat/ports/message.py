@@ -90,12 +90,13 @@ class Message:
         """The port closes: a reply that was to come from another thread is given up.
 
         Returns:
-            whether a reply still comes, from the owner who has the message at this moment.
+            whether a reply still comes: the owner gave it, or has the message at this moment.
         """
         self._retired = True
-        if self._later is not None:
-            self.give_up()
-        return self._later is None
+        if self._later is None or self._answered:
+            return True
+        self.give_up()
+        return False
 
     def give_up(self) -> None:
         """Let the connection go on without a reply, if there is none yet."""

@@ -33,6 +33,7 @@ class TextInput(Input):
                 answer = "".join(f"{line}\r\n" for line in self.port.obey(word)).encode()
             if answer or ack:
                 self.sock.sendall(answer + ack)
+            self.answered()
             if last or word.key in ("q", "r"):
                 return word.key == "r"
         return False
@@ -66,6 +67,7 @@ class NameInput(Input):
             self.counters.received += 1
             text = line.decode(errors="surrogateescape").removeprefix("NAME_SERVER").strip()
             self.sock.sendall(self._answer(text, line))
+            self.answered()
         return False
 
     def _answer(self, text: str, line: bytes) -> bytes:

@@ -513,3 +513,25 @@ def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port
     assert client.request(HELLO, timeout=10) == HELLO
     ends[0].join(10)
     assert not ends[0].is_alive()
+
+
+def test_a_port_that_closes_still_sends_the_reply_that_another_thread_gave(make_port: MakePort) -> None:
+    """As when a program answers the last request and closes."""
+    for _ in range(50):
+        waiting: list[Message] = []
+
+        def take(message: Message, waiting: list[Message] = waiting) -> None:
+            message.later()
+            waiting.append(message)
+
+        server, client = make_port("/server", take), make_port("/client")
+        client.add_output("/server")
+        got: list[bytes] = []
+        thread = threading.Thread(target=lambda c=client, g=got: g.append(c.request(HELLO, timeout=10)))
+        thread.start()
+        until(lambda w=waiting: w, "the request")
+        waiting[0].reply(HELLO)
+        server.close()
+        thread.join(10)
+        assert got == [HELLO]
+        client.close()
