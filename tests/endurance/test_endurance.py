@@ -50,13 +50,20 @@ def test_endpoints_that_come_and_go_leave_nothing(deployment: Deployment):
 def settled(deployment: Deployment, before: Census | None) -> Census:
     """The daemon once only the feeds are left; idle threads go ten seconds later."""
     feeds = len(SIDES) * (churn.FED + churn.STREAMED)
+    last: list[tuple[int, int]] = []
 
     def left() -> Census | None:
-        census = deployment.census()
         own = sum(deployment.routes("/churn").values()) + sum(deployment.routes("/kept").values())
-        idle = before is None or (
-            (census.tokens, census.registrations) == (before.tokens, before.registrations)
-            and all(census.used[w].threads <= before.used[w].threads + SPARE_THREADS for w in WORKERS)
+        census = deployment.census()
+        last.append((census.tokens, census.registrations))
+        stands = last[-2:] == [last[-1]] * 2  # tokens and registrations go a moment after the routes
+        idle = (
+            stands
+            if before is None
+            else (
+                last[-1] == (before.tokens, before.registrations)
+                and all(census.used[w].threads <= before.used[w].threads + SPARE_THREADS for w in WORKERS)
+            )
         )
         return census if not own and idle and sum(census.routes.values()) >= feeds else None
 
