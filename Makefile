@@ -15,7 +15,8 @@ demo: setup ## real ROS 1, ROS 2 and zenoh programs, bridged (STAY=1 stays, JSON
 	@$(BIN)/midspan demo $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
 
 test: setup ## all tests, on the real middlewares (ARGS='tests/hub -k latched' for some)
-	@scripts/test.sh $(ARGS)
+	@$(BIN)/python -m pytest -p no:cacheprovider -n 3 --dist loadfile --no-loadscope-reorder -m 'not alone' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen
+	@$(BIN)/python -m pytest -p no:cacheprovider -m alone $(ARGS) || [ $$? -eq 5 ]
 
 lint: setup ## ruff: rules and format
 	@$(BIN)/ruff check .
