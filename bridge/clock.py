@@ -32,7 +32,6 @@ class RunClock:
         self._lock = threading.Lock()
         self._jumped: list[Jumped] = []
         self._heard: list[Callable[[int], None]] = []
-        self.jumps = 0
 
     def now_ns(self) -> int:
         """Nanoseconds since 1970, or of the simulation; 0 until that has said the time."""
@@ -53,7 +52,6 @@ class RunClock:
             back, self._now = found < self._now, found
             jumped = tuple(self._jumped) if back else ()
             heard = tuple(self._heard)
-            self.jumps += back
         if back:
             _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, found / 1e9)
         for forget in jumped:

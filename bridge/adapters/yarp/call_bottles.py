@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bridge.hub.call import CallError
-from bridge.messages.definition import Schema, World
 from bridge.messages.errors import ConversionError
-from bridge.messages.parser import closure, parse_full
 from bridge.messages.registry import Registry
-from bridge.messages.yarp.bottle import RosBottle
+from bridge.messages.yarp.bottle import RosBottle, ros1_schema
 from bridge.messages.yarp.codec import Codec
 from bridge.messages.yarp.fields import Entry, FieldsCodec
 from yarp_compat.wire import binary
@@ -64,7 +62,7 @@ class CallBottles:
                 else:
                     assert there is not None
                     assert back is not None
-                    made[-1][known] = RosBottle(_schema(f"{ways.side.name}{part}", text), there, back, known)
+                    made[-1][known] = RosBottle(ros1_schema(f"{ways.side.name}{part}", text), there, back, known)
         self._request, self._reply = made
         self._profile = profile
         self._silent = not schemas[1].root.fields and not reply
@@ -108,8 +106,3 @@ class CallBottles:
         if self._silent:
             payload = binary.encode([], profile or self._profile)
         return self._reply[profile or self._profile].to_hub(payload, profile, None)
-
-
-def _schema(name: str, definition: str) -> Schema:
-    types = parse_full(definition, name, World.ROS1)
-    return closure(types[name], types)

@@ -71,12 +71,13 @@ class BottleCodec(RosBottle):
         assert out.convert is not None
         assert back.convert is not None
         stamped = is_stamped(registry.schema(type_name, type_hash))
-        schema = _schema(out.target.name, out.target.definition)
+        schema = ros1_schema(out.target.name, out.target.definition)
         super().__init__(schema, out.convert, back.convert, profile, stamped=stamped)
         self.ros1 = out.target
 
 
-def _schema(name: str, definition: str) -> Schema:
+def ros1_schema(name: str, definition: str) -> Schema:
+    """A ROS 1 type with all that it nests, from its full definition."""
     types = parse_full(definition, name, World.ROS1)
     return closure(types[name], types)
 
