@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import zenoh
+
 from bridge.adapters.base import MadeBy
 from bridge.config.sections.routing import RoutingSection
+from bridge.hub.liveliness import MIDSPAN_SPACE
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
 from bridge.hub.subscription import HubSample
@@ -18,6 +21,7 @@ from bridge.messages.registry import Registry
 from bridge.routing.engine import Engine
 from tests.support.fake import FakeEdge, FakeNetwork, Writer
 from tests.support.hub import HubNetwork
+from tests.support.wait import until
 
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
@@ -49,6 +53,7 @@ class FakeWorker:
         self.kept: list[Any] = []
         for verb, answer in answers.items():
             self.hub.serve(verb, answer if callable(answer) else _constant(answer))
+        _await_known(network, f"{daemon}/{worker}", answers)
 
     def publish(self, topic: str, type_name: str, type_hash: str, cdr: bytes) -> None:
         """Publish one latched message, kept until the worker is closed."""
@@ -64,6 +69,17 @@ class FakeWorker:
 
     def close(self) -> None:
         self.hub.close()
+
+
+def _await_known(network: HubNetwork, who: str, verbs: Iterable[str]) -> None:
+    """Return when clients of the router reach who answers: its verbs come to the router a moment later."""
+    config = zenoh.Config()
+    for key, value in (("mode", "client"), ("connect/endpoints", [network.endpoint])):
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as session:
+        for verb in verbs:
+            querier = session.declare_querier(f"{MIDSPAN_SPACE}/{network.domain}/{who}/{verb}")
+            until(lambda querier=querier: querier.matching_status.matching, f"the router knows {verb} of {who}")
 
 
 def _constant(answer: Any) -> Callable[[dict[str, Any]], Any]:
@@ -95,6 +111,7 @@ class EngineWorker:
         }
         for verb, handler in verbs.items():
             self.hub.serve(verb, handler)
+        _await_known(network, "robot1/ros1", verbs)
 
     def advertise(self, topic: str, type_name: str, *, latched: bool = False) -> Writer:
         qos = LATCHED if latched else Qos()
