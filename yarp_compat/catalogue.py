@@ -9,6 +9,8 @@ from typing import Any
 _PLACES = {
     "dev.laserscan": "LaserMeasurementData LaserScan2D",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
+    "dev.mapgrid": "MapFlag MapGrid2D",
+    "dev.mapinfo": "MapGrid2DInfo MapGrid2DOrigin",
     "dev.odometry": "MobileBaseVelocity OdometryData",
     "dev.returnvalue": "ReturnValue",
     "os.bottle": "Bottle",

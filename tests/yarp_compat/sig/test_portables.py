@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.yarp_compat.dev.interfaces import Map
 from tests.yarp_compat.portables import PORTABLES, TYPED
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
 from yarp_compat.sig import pointcloud
@@ -43,9 +44,12 @@ def rgb() -> ImageRgb:
     return image
 
 
-def grid(compressed: int, occupancy: str, flags: str) -> Map:
-    blobs = bytes.fromhex(occupancy), bytes.fromhex(flags)
-    return Map(5, 2, -0.1, -0.05, 0.0, 0.05, "m1", compressed, *blobs)
+def grid(*, zipped: bool) -> MapGrid2D:
+    flags = [[4, 1, 2, 3, 0], [0, 0, 0, 0, 5]]
+    occupancy = [[100, 0, 0, 0, 0], [0, 0, 0, 0, 255]]
+    made = MapGrid2D.of(flags, occupancy, name="m1", resolution=0.05, origin=(-0.1, -0.05, 0))
+    made.enable_map_compression_over_network(zipped)
+    return made
 
 
 VALUES: dict[str, Portable] = {
@@ -68,8 +72,9 @@ VALUES: dict[str, Portable] = {
     "LaserScan2D": LaserScan2D(0, 360, 0.1, 8, Vector([1, 1]), 1),
     "FrameTransform": FrameTransform("map", "odom", 10.0, 1, 1, 2, 3, 0, 0, 0, 1),
     "Quaternion x0y0z0w1": Quaternion(0, 0, 0, 1),
-    "MapGrid2D 5x2 uncompressed": grid(0, "640000000000000000ff", "04010203000000000005"),
-    "MapGrid2D 5x2 compressed": grid(1, "789c4b618082ff0004f10164", "789c63616462660001560000650010"),
+    "MapGrid2D 5x2 uncompressed": grid(zipped=False),
+    "MapGrid2D 5x2 compressed": grid(zipped=True),
+    "MapGrid2D default ctor": MapGrid2D(),
 }
 
 

@@ -1,0 +1,337 @@
+"""Maps (`yarp/dev/MapGrid2D.h`): for each cell how surely it is occupied, and a flag.
+
+On the wire: ``width height x y theta resolution name compressed {occupancy} {flags}``, rows from the top one down,
+occupancy 0 to 100 or 255 for unknown; both zipped where ``compressed`` is 1, as it is in a new map.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.portable import Portable
+from yarp_compat.wire.reader import Reader
+from yarp_compat.wire.tags import INT8
+from yarp_compat.wire.writer import Writer
+
+MAX_CELLS = 1 << 26
+"""A map of more cells (8,192 squared) is refused, wherever it comes from."""
+
+UNKNOWN = 255
+"""The occupancy of cells of which nothing is known."""
+
+_LONGEST_NAME = 254  # YARP's reader has a buffer of so many bytes
+
+
+class MapFlag(IntEnum):
+    """What a cell is, to those who plan ways."""
+
+    FREE = 0
+    KEEP_OUT = 1
+    TEMPORARY_OBSTACLE = 2
+    ENLARGED_OBSTACLE = 3
+    WALL = 4
+    UNKNOWN = 5
+
+
+class MapGrid2D(MapGrid2DInfo, Portable):
+    """A map; a new one has 2 by 2 free cells of a metre. See :meth:`of` for any other."""
+
+    map_flags: ClassVar = MapFlag
+    MAP_CELL_FREE: ClassVar = MapFlag.FREE
+    MAP_CELL_KEEP_OUT: ClassVar = MapFlag.KEEP_OUT
+    MAP_CELL_TEMPORARY_OBSTACLE: ClassVar = MapFlag.TEMPORARY_OBSTACLE
+    MAP_CELL_ENLARGED_OBSTACLE: ClassVar = MapFlag.ENLARGED_OBSTACLE
+    MAP_CELL_WALL: ClassVar = MapFlag.WALL
+    MAP_CELL_UNKNOWN: ClassVar = MapFlag.UNKNOWN
+
+    def __init__(self) -> None:
+        super().__init__("", 2, 2, 1.0)
+        self._occupancy = np.zeros((2, 2), np.uint8)
+        self._flags = np.zeros((2, 2), np.uint8)
+        self._compressed = True
+
+    @classmethod
+    def of(
+        cls,
+        flags: ArrayLike,
+        occupancy: ArrayLike | None = None,
+        *,
+        name: str = "",
+        resolution: float = 1.0,
+        origin: Iterable[float] = (0.0, 0.0, 0.0),
+    ) -> Self:
+        """A map of its cells, which it takes over uncopied where they are arrays of bytes.
+
+        Args:
+            flags: a :class:`MapFlag` for each cell, of shape (height, width), rows from the top one down.
+            occupancy: 0 to 100 or 255, of the same shape; by default what the flags say: 100 where a wall is, 255 where
+                nothing is known.
+            name: the map's.
+            resolution: metres per cell.
+            origin: where the lower left corner is: metres, metres, degrees.
+
+        Raises:
+            ValueError: something does not fit.
+        """
+        made = cls()
+        made.set_cells(flags, occupancy)
+        made.m_map_name = name
+        made.m_origin = MapGrid2DOrigin(*origin)
+        if not made.setResolution(resolution):
+            raise ValueError(f"a cell cannot be {resolution} metres wide")
+        return made
+
+    @property
+    def flags(self) -> NDArray[np.uint8]:
+        """The cells' flags, of shape (height, width), rows from the top one down; may be changed in place."""
+        return self._flags
+
+    @property
+    def occupancy(self) -> NDArray[np.uint8]:
+        """How surely each cell is occupied, 0 to 100, or 255; shaped as the flags, may be changed in place."""
+        return self._occupancy
+
+    def set_cells(self, flags: ArrayLike, occupancy: ArrayLike | None = None) -> None:
+        """Have other cells, see :meth:`of`."""
+        new = np.asarray(flags, np.uint8)
+        if new.ndim != 2:
+            raise ValueError(f"the cells of a map are of shape (height, width), not {new.shape}")
+        if new.size > MAX_CELLS:
+            raise ValueError(too_large(new.shape[1], new.shape[0]))
+        cells = occupancy_of(new) if occupancy is None else np.asarray(occupancy, np.uint8)
+        if cells.shape != new.shape:
+            raise ValueError(f"the flags are of shape {new.shape}, the occupancy of {cells.shape}")
+        self._flags, self._occupancy = new, cells
+        self.m_height, self.m_width = new.shape
+
+    def width(self) -> int:
+        """Cells."""
+        return self.m_width
+
+    def height(self) -> int:
+        """Cells."""
+        return self.m_height
+
+    def getMapName(self) -> str:
+        """The map's name."""
+        return self.m_map_name
+
+    def setMapName(self, name: str) -> bool:
+        """Have another name; False where it is empty."""
+        if name:
+            self.m_map_name = name
+        return bool(name)
+
+    def getResolution(self) -> float:
+        """Metres per cell."""
+        return self.m_resolution
+
+    def setResolution(self, resolution: float) -> bool:
+        """Have cells of another size; False where there are none such."""
+        if not (math.isfinite(resolution) and resolution > 0):
+            return False
+        self.m_resolution = float(resolution)
+        return True
+
+    def getOrigin(self) -> tuple[float, float, float]:
+        """Where the lower left corner is: metres, metres, degrees."""
+        return self.m_origin.x, self.m_origin.y, self.m_origin.theta
+
+    def setOrigin(self, x: float, y: float, theta: float) -> bool:
+        """Have the lower left corner elsewhere."""
+        self.m_origin.setOrigin(x, y, theta)
+        return True
+
+    def getSize_in_cells(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.m_width, self.m_height
+
+    def setSize_in_cells(self, width: int, height: int) -> bool:
+        """Have so many cells, all free; False where that is no map."""
+        if not (width > 0 and height > 0):
+            return False
+        if width * height > MAX_CELLS:
+            raise ValueError(too_large(width, height))
+        self.set_cells(np.zeros((height, width), np.uint8), np.zeros((height, width), np.uint8))
+        return True
+
+    def getSize_in_meters(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.m_width * self.m_resolution, self.m_height * self.m_resolution
+
+    def setSize_in_meters(self, width: float, height: float) -> bool:
+        """Have this size, all cells free; False where that is no map."""
+        return self.setSize_in_cells(int(width / self.m_resolution), int(height / self.m_resolution))
+
+    def getMapFlag(self, cell: Pair) -> MapFlag | None:
+        """A cell's flag; None where there is no such cell."""
+        at = self._at(cell)
+        return None if at is None else MapFlag(self._flags[at])
+
+    def setMapFlag(self, cell: Pair, flag: MapFlag | int) -> bool:
+        """Give a cell another flag; False where there is no such cell."""
+        at = self._at(cell)
+        if at is not None:
+            self._flags[at] = MapFlag(flag)
+        return at is not None
+
+    def getOccupancyData(self, cell: Pair) -> float | None:
+        """How surely a cell is occupied, 0 to 100, or -1 for unknown; None where there is no such cell."""
+        at = self._at(cell)
+        if at is None:
+            return None
+        occupancy = int(self._occupancy[at])
+        return -1.0 if occupancy == UNKNOWN else float(occupancy)
+
+    def setOccupancyData(self, cell: Pair, occupancy: float) -> bool:
+        """Say how surely a cell is occupied, below 0 for unknown; False where there is no such cell."""
+        if not occupancy <= 100:
+            raise ValueError(f"a cell is occupied to 0 to 100, not {occupancy}")
+        at = self._at(cell)
+        if at is not None:
+            self._occupancy[at] = UNKNOWN if occupancy < 0 else int(occupancy)
+        return at is not None
+
+    def isFree(self, cell: Pair) -> bool:
+        """Whether one may drive there."""
+        at = self._at(cell)
+        return at is not None and not self._occupancy[at] and not self._flags[at]
+
+    def isNotFree(self, cell: Pair) -> bool:
+        """Whether a cell of the map is occupied, an obstacle or to be kept out of."""
+        at = self._at(cell)
+        if at is None:
+            return False
+        flag = self._flags[at]
+        return bool(self._occupancy[at]) or MapFlag.KEEP_OUT <= flag <= MapFlag.ENLARGED_OBSTACLE
+
+    def isKeepOut(self, cell: Pair) -> bool:
+        """Whether a cell is to be kept out of."""
+        at = self._at(cell)
+        return at is not None and self._flags[at] == MapFlag.KEEP_OUT
+
+    def isWall(self, cell: Pair) -> bool:
+        """Whether a cell is a wall."""
+        at = self._at(cell)
+        return at is not None and self._flags[at] == MapFlag.WALL
+
+    def clearMapTemporaryFlags(self) -> None:
+        """Make temporary and enlarged obstacles free."""
+        temporary = (self._flags == MapFlag.TEMPORARY_OBSTACLE) | (self._flags == MapFlag.ENLARGED_OBSTACLE)
+        self._flags[temporary] = MapFlag.FREE
+
+    def enable_map_compression_over_network(self, enable: bool) -> bool:
+        """Whether the cells are zipped on the wire."""
+        self._compressed = bool(enable)
+        return True
+
+    @property
+    def compressed(self) -> bool:
+        """Whether the cells are zipped on the wire."""
+        return self._compressed
+
+    def isIdenticalTo(self, other: MapGrid2D) -> bool:
+        """Whether all is the same: the name, where it lies, and every cell."""
+        return (
+            (self.m_map_name, self.m_resolution) == (other.m_map_name, other.m_resolution)
+            and self.m_origin == other.m_origin
+            and np.array_equal(self._flags, other._flags)
+            and np.array_equal(self._occupancy, other._occupancy)
+        )
+
+    def __eq__(self, other: object) -> bool:
+        return self.isIdenticalTo(other) if isinstance(other, MapGrid2D) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment] # it changes
+
+    def __repr__(self) -> str:
+        return f"<MapGrid2D {self.m_map_name!r} of {self.m_width} x {self.m_height} cells of {self.m_resolution} m>"
+
+    def copy(self) -> Self:
+        """A map of its own with the same content."""
+        made = type(self).of(
+            self._flags.copy(), self._occupancy.copy(),
+            name=self.m_map_name, resolution=self.m_resolution, origin=self.m_origin,
+        )  # fmt: skip
+        made._compressed = self._compressed
+        return made
+
+    def _at(self, cell: Pair) -> tuple[int, int] | None:
+        column, row = map(int, numbers(cell))
+        return (row, column) if 0 <= column < self.m_width and 0 <= row < self.m_height else None
+
+    def _write(self, out: Writer) -> None:
+        if len(self.m_map_name.encode("utf-8", "surrogateescape")) > _LONGEST_NAME:
+            raise WireError(f"a map's name has up to {_LONGEST_NAME} bytes, unlike {self.m_map_name!r:.60}")
+        out.begin(10)
+        out.integer(self.m_width)
+        out.integer(self.m_height)
+        for number in (*self.getOrigin(), self.m_resolution):
+            out.float64(number)
+        out.string(self.m_map_name)
+        out.integer(int(self._compressed), INT8)
+        for cells in (self._occupancy, self._flags):
+            flat = np.ascontiguousarray(cells).reshape(-1)
+            out.blob(zlib.compress(flat.data) if self._compressed else flat.data)
+
+    def _read(self, source: Reader) -> None:
+        count = source.begin()
+        if count != 10:
+            raise WireError(f"a map has 10 fields, not {count}")
+        width, height = source.integer(), source.integer()
+        if min(width, height) < 0 or width * height > MAX_CELLS:
+            raise WireError(too_large(width, height))
+        x, y, theta, resolution = (source.float64() for _ in range(4))
+        name, compressed = source.string(), bool(source.integer())
+        blobs = [_cells(source.blob(), width * height, compressed=compressed) for _ in range(2)]
+        source.end()
+        occupancy, flags = (cells.reshape(height, width) for cells in blobs)
+        try:
+            found = MapGrid2D.of(flags, occupancy, name=name, resolution=resolution, origin=(x, y, theta))
+        except ValueError as error:
+            raise WireError(str(error)) from None
+        found._compressed = compressed
+        self.__dict__.update(found.__dict__)
+
+
+def occupancy_of(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What YARP takes for the occupancy where it has flags only: 100 for walls, 255 for unknown, else 0."""
+    table = np.full(256, UNKNOWN, np.uint8)
+    table[: MapFlag.WALL] = 0
+    table[MapFlag.WALL] = 100
+    return table[flags]
+
+
+def flags_of(occupancy: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What YARP takes for the flags where it has an occupancy only: free below 50, wall up to 100, else unknown."""
+    table = np.full(256, MapFlag.UNKNOWN, np.uint8)
+    table[:50] = MapFlag.FREE
+    table[50:101] = MapFlag.WALL
+    return table[occupancy]
+
+
+def too_large(width: int, height: int) -> str:
+    """What is said of a map of more cells than are taken."""
+    return f"a map of {width} x {height} cells: up to {MAX_CELLS} are taken"
+
+
+def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint8]:
+    """A blob's cells, in memory of their own."""
+    content: Any = data
+    if compressed:
+        try:
+            content = zlib.decompressobj().decompress(data, count + 1)
+        except zlib.error as error:
+            raise WireError(f"the map's cells are not zipped as they should be: {error}") from None
+    if len(content) != count:
+        raise WireError(f"a map of {count} cells does not have {len(content)}")
+    return np.frombuffer(content, np.uint8).copy()

@@ -1,0 +1,211 @@
+"""What a map is apart from its cells: its name, size, resolution and where it lies (`yarp/dev/MapGrid2DInfo.h`).
+
+Cell (0, 0) is the upper left one, and YARP takes a cell's lower left corner for its place. The corner that lies ``d``
+metres right of and above the one of the whole map is at ``R(-theta) (origin + d)`` in the map's frame. ROS says
+``origin + R(yaw) d`` instead, so the origins of one map differ where it is turned: see :meth:`MapGrid2DOrigin.to_ros`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.sig.vec2d import Vec2D, Vec2DInt, Vec2DSize
+
+Pair = Vec2D | Vec2DInt | Sequence[float]
+"""YARP's XYCell or XYWorld, or just two numbers."""
+
+
+class MapGrid2DOrigin:
+    """Where a map's lower left corner is.
+
+    Args:
+        x: metres, before the turn.
+        y: metres, before the turn.
+        theta: degrees, by which the map is turned clockwise about the frame's origin.
+    """
+
+    def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
+        self.setOrigin(x, y, theta)
+
+    def setOrigin(self, x: float, y: float, theta: float) -> None:
+        """Be there; whole turns are left out.
+
+        Raises:
+            ValueError: it is nowhere.
+        """
+        if not all(map(math.isfinite, (x, y, theta))):
+            raise ValueError(f"a map's origin cannot be {(x, y, theta)}")
+        self.x, self.y, self.theta = float(x), float(y), math.fmod(theta, 360.0)
+
+    def get_x(self) -> float:
+        """Metres."""
+        return self.x
+
+    def get_y(self) -> float:
+        """Metres."""
+        return self.y
+
+    def get_theta(self) -> float:
+        """Degrees."""
+        return self.theta
+
+    def get_ca(self) -> float:
+        """The angle's cosine."""
+        return math.cos(math.radians(self.theta))
+
+    def get_sa(self) -> float:
+        """The angle's sine."""
+        return math.sin(math.radians(self.theta))
+
+    def to_ros(self) -> tuple[float, float, float]:
+        """The same place as ROS says it: the corner's x and y in metres, the yaw in radians."""
+        if not self.theta:
+            return self.x, self.y, 0.0
+        ca, sa = self.get_ca(), self.get_sa()
+        return self.x * ca + self.y * sa, self.y * ca - self.x * sa, -math.radians(self.theta)
+
+    @classmethod
+    def from_ros(cls, x: float, y: float, yaw: float) -> Self:
+        """The origin of a map whose corner and yaw (radians) ROS says."""
+        if not yaw:
+            return cls(x, y, 0.0)
+        ca, sa = math.cos(yaw), math.sin(yaw)
+        return cls(x * ca + y * sa, y * ca - x * sa, -math.degrees(yaw))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, MapGrid2DOrigin):
+            return NotImplemented
+        return (self.x, self.y, self.theta) == (other.x, other.y, other.theta)
+
+    __hash__ = None  # type: ignore[assignment] # it changes
+
+    def __iter__(self) -> Iterator[float]:
+        return iter((self.x, self.y, self.theta))
+
+    def __repr__(self) -> str:
+        return f"MapGrid2DOrigin({self.x}, {self.y}, {self.theta})"
+
+
+class MapGrid2DInfo:
+    """A map without its cells.
+
+    Args:
+        name: the map's.
+        width: cells.
+        height: cells.
+        resolution: metres per cell.
+        origin: where its lower left corner is.
+    """
+
+    def __init__(
+        self,
+        name: str = "",
+        width: int = 0,
+        height: int = 0,
+        resolution: float = 0.0,
+        origin: Iterable[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.m_map_name = name
+        self.m_width, self.m_height = width, height
+        self.m_resolution = resolution
+        self.m_origin = MapGrid2DOrigin(*origin)
+
+    @property
+    def name(self) -> str:
+        """The map's name."""
+        return self.m_map_name
+
+    @property
+    def resolution(self) -> float:
+        """Metres per cell."""
+        return self.m_resolution
+
+    @property
+    def origin(self) -> MapGrid2DOrigin:
+        """Where its lower left corner is."""
+        return self.m_origin
+
+    def cell2World(self, cell: Pair) -> Vec2D:
+        """The place of a cell's lower left corner, metres."""
+        column, row = numbers(cell)
+        x = column * self.m_resolution + self.m_origin.x
+        y = -row * self.m_resolution + self.m_origin.y + (self.m_height - 1) * self.m_resolution
+        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
+        return Vec2D(x * ca + y * sa, y * ca - x * sa)
+
+    def world2Cell(self, world: Pair) -> Vec2DSize:
+        """The cell at a place, or the outermost one next to it, found as YARP does; see also :meth:`cells_at`."""
+        column, row = self._truncated(world)
+        return Vec2DSize(min(max(column, 0), self.m_width - 1), min(max(row, 0), self.m_height - 1))
+
+    def world2Cell_unsafeFast(self, world: Pair) -> Vec2DSize:
+        """The cell at a place, which need not be on the map: below 0 where YARP's number is beyond all maps."""
+        return Vec2DSize(*self._truncated(world))
+
+    def isInsideMap(self, place: Vec2D | Vec2DInt) -> bool:
+        """Whether a cell (`Vec2DSize`, `Vec2DInt`) or a place (`Vec2D`, metres) is on the map."""
+        cell = place if isinstance(place, Vec2DInt) else self.world2Cell_unsafeFast(place)
+        return 0 <= cell.x < self.m_width and 0 <= cell.y < self.m_height
+
+    def toLocation(self, place: Vec2D | Vec2DInt) -> Map2DLocation:
+        """A cell or a place as a location on this map."""
+        world = self.cell2World(place) if isinstance(place, Vec2DInt) else place
+        return Map2DLocation(self.m_map_name, world.x, world.y)
+
+    def toXYCell(self, location: Map2DLocation) -> Vec2DSize:
+        """The cell of a location."""
+        return self.world2Cell((location.x, location.y))
+
+    def toXYWorld(self, location: Map2DLocation) -> Vec2D:
+        """A location's place."""
+        return Vec2D(location.x, location.y)
+
+    def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
+        """The cells that hold places.
+
+        Args:
+            points: x and y in metres, of shape (..., 2).
+
+        Returns:
+            columns and rows, of the same shape; outside of the map where a place is.
+        """
+        places = np.asarray(points, float)
+        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
+        x = (places[..., 0] * ca - places[..., 1] * sa - self.m_origin.x) / self.m_resolution
+        y = (places[..., 0] * sa + places[..., 1] * ca - self.m_origin.y) / self.m_resolution
+        return np.stack((np.floor(x), self.m_height - 1 - np.floor(y)), -1).astype(np.intp)
+
+    def centers_of(self, cells: ArrayLike) -> NDArray[np.float64]:
+        """The places of cells' middles.
+
+        Args:
+            cells: columns and rows, of shape (..., 2).
+
+        Returns:
+            x and y in metres, of the same shape.
+        """
+        found = np.asarray(cells, float)
+        x = (found[..., 0] + 0.5) * self.m_resolution + self.m_origin.x
+        y = (self.m_height - 0.5 - found[..., 1]) * self.m_resolution + self.m_origin.y
+        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
+        return np.stack((x * ca + y * sa, y * ca - x * sa), -1)
+
+    def _truncated(self, world: Pair) -> tuple[int, int]:
+        x, y = numbers(world)
+        ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
+        column = int((x * ca - y * sa - self.m_origin.x) / self.m_resolution)
+        return column, int((self.m_origin.y - x * sa - y * ca) / self.m_resolution) + self.m_height - 1
+
+
+def numbers(pair: Pair) -> tuple[float, float]:
+    """A pair's numbers."""
+    if isinstance(pair, Vec2D | Vec2DInt):
+        return pair.x, pair.y
+    x, y = pair
+    return x, y
