@@ -1,0 +1,89 @@
+"""Transforms as they are in tf2_msgs/msg/TFMessage, and that message in CDR, written and read at once.
+
+A robot says hundreds of transforms a hundred times a second. Each is its stamp (two 32-bit integers), the parent's and
+the child's name (a length that counts the zero behind it, and the text), then seven doubles at a multiple of 8 bytes
+behind the encapsulation header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from bridge.tf.transform import Quaternion, Vector
+
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+TF, TF_STATIC = "/tf", "/tf_static"
+
+_ENCAPSULATION = b"\0\1\0\0"
+_START = len(_ENCAPSULATION)
+_SECOND = 1_000_000_000
+_COUNT = struct.Struct("<I")
+_STAMP = struct.Struct("<iII")
+_POSE = struct.Struct("<7d")
+
+
+class Stamped(NamedTuple):
+    """A transform of a message: the pose of the child frame in its parent."""
+
+    frame_id: str
+    child_frame_id: str
+    stamp: int
+    """ns."""
+    translation: Vector
+    """x, y, z in m."""
+    rotation: Quaternion
+    """x, y, z, w."""
+
+
+def read(cdr: bytes) -> list[Stamped]:
+    """The transforms of a message that was checked before (`bridge.messages.registry.Registry.hub_check`)."""
+    count = _COUNT.unpack_from(cdr, _START)[0]
+    at = _START + _COUNT.size
+    found = []
+    for _ in range(count):
+        at += -at % 4
+        seconds, nanoseconds, size = _STAMP.unpack_from(cdr, at)
+        at += _STAMP.size
+        parent = str(cdr[at : at + size - 1], "utf-8", "replace")
+        at += size
+        at += -at % 4
+        size = _COUNT.unpack_from(cdr, at)[0]
+        at += _COUNT.size
+        child = str(cdr[at : at + size - 1], "utf-8", "replace")
+        at += size
+        at += (_START - at) % 8
+        x, y, z, qx, qy, qz, qw = _POSE.unpack_from(cdr, at)
+        at += _POSE.size
+        found.append(Stamped(parent, child, seconds * _SECOND + nanoseconds, (x, y, z), (qx, qy, qz, qw)))
+    return found
+
+
+def write(transforms: Iterable[Stamped]) -> bytes:
+    """A message of transforms.
+
+    Raises:
+        ValueError: a name cannot be encoded, or a stamp is not within 32 bits of seconds.
+    """
+    data = bytearray(_START + _COUNT.size)
+    count = 0
+    for parent, child, stamp, moved, turned in transforms:
+        seconds, nanoseconds = divmod(stamp, _SECOND)
+        one, two = parent.encode(), child.encode()
+        data += bytes(-len(data) % 4)
+        try:
+            data += _STAMP.pack(seconds, nanoseconds, len(one) + 1)
+        except struct.error as err:
+            msg = f"the stamp {stamp} of {child!r} does not fit a message: {err}"
+            raise ValueError(msg) from None
+        data += one
+        data += bytes(1 + -(len(data) + 1) % 4)
+        data += _COUNT.pack(len(two) + 1)
+        data += two
+        data += bytes(1 + (_START - len(data) - 1) % 8)
+        data += _POSE.pack(*moved, *turned)
+        count += 1
+    data[:_START] = _ENCAPSULATION
+    _COUNT.pack_into(data, _START, count)
+    return bytes(data)
