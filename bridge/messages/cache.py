@@ -1,13 +1,51 @@
-"""Where compiled code is kept between starts."""
+"""Compiled code, and where it is kept between starts."""
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import stat
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
+
+import numba
+
+_log = logging.getLogger(__name__)
+_njit: Any = numba.njit
+
+
+def compiled(
+    function: Callable[..., Any], signature: Any, sources: Sequence[Path], make: Any = _njit, **options: Any
+) -> Any:
+    """Compile a function with numba, or load it from the cache, whose folder is set for this function alone.
+
+    Args:
+        function: what is compiled.
+        signature: its types.
+        sources: the files that go into it, all in one folder; see `cache_folder`.
+        make: numba's ``njit`` or ``cfunc``.
+        options: of ``make``.
+    """
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    folder = cache_folder(sources)
+    try:
+        config.CACHE_DIR = "" if folder is None else str(folder)
+        return make(signature, cache=folder is not None, **options)(function)
+    except OSError as err:
+        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
+        return make(signature, **options)(function)
+    finally:
+        config.CACHE_DIR = before
+
+
+def entry_point(compiled_function: Any, signature: Any) -> Callable[..., Any]:
+    """The machine code of a function that was compiled by ``njit``, without numba's look at the arguments' types."""
+    entry: Callable[..., Any] = compiled_function.overloads[signature.args].entry_point
+    return entry
 
 
 def cache_folder(sources: Sequence[Path]) -> Path | None:

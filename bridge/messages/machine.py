@@ -6,16 +6,14 @@ read is checked against the message's end before it is made. Addresses are plain
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numba
 
 from bridge.messages import ops
-from bridge.messages.cache import cache_folder
+from bridge.messages.cache import compiled, entry_point
 from bridge.messages.memory import load8, load64, move, scratch_space, store32, store64
 from bridge.messages.ops import Fault, Op
 from bridge.messages.steps import (
@@ -197,37 +195,13 @@ def _run_free(program: int, source: int, size: int, target: int) -> int:
     return size_or_fault
 
 
-_log = logging.getLogger(__name__)
-_njit: Any = numba.njit
 _SIGNATURE = numba.int64(numba.int64, numba.int64, numba.int64, numba.int64)
-_COMPILED_FILES = ("machine.py", "memory.py", "ops.py", "steps.py")
+_SOURCES = [Path(__file__).with_name(name) for name in ("machine.py", "memory.py", "ops.py", "steps.py")]
 
+_compiled = compiled(_run, _SIGNATURE, _SOURCES)
 
-def _compile(function: Run, *, nogil: bool) -> Any:
-    """Compile, or load from the cache; the cache's folder is set for these functions alone."""
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    folder = cache_folder([Path(__file__).with_name(name) for name in _COMPILED_FILES])
-    try:
-        config.CACHE_DIR = "" if folder is None else str(folder)
-        return _njit(_SIGNATURE, cache=folder is not None, nogil=nogil)(function)
-    except OSError as err:
-        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
-        return _njit(_SIGNATURE, nogil=nogil)(function)
-    finally:
-        config.CACHE_DIR = before
-
-
-def _entry(compiled: Any) -> Run:
-    """The compiled function without numba's look at the types of its arguments, which are always integers."""
-    entry: Run = compiled.overloads[_SIGNATURE.args].entry_point
-    return entry
-
-
-_compiled = _compile(_run, nogil=False)
-
-run = _entry(_compiled)
+run: Run = entry_point(_compiled, _SIGNATURE)
 """The interpreter; holds Python's lock."""
 
-run_free = _entry(_compile(_run_free, nogil=True))
+run_free: Run = entry_point(compiled(_run_free, _SIGNATURE, _SOURCES, nogil=True), _SIGNATURE)
 """The interpreter, while other threads run Python: worth it where copying takes longer than handing over the lock."""

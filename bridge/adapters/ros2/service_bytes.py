@@ -12,7 +12,7 @@ The functions' forms are those of rosidl_typesupport_fastrtps_cpp/message_type_s
 from __future__ import annotations
 
 import ctypes
-import logging
+from collections.abc import Callable
 from ctypes import Structure, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from llvmlite import binding  # type: ignore[import-untyped]
 from numba import types
 
 from bridge.messages import memory
-from bridge.messages.cache import cache_folder
+from bridge.messages.cache import compiled
 from bridge.messages.memory import HEAD, load64, move, store64
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
@@ -35,7 +35,7 @@ _SYMBOLS = {
     "append": "_ZN8eprosima7fastcdr3Cdr15serialize_arrayEPKcm",
     "begin": "_ZN8eprosima7fastcdr3Cdr18get_buffer_pointerEv",
 }
-_log = logging.getLogger(__name__)
+_SOURCES = [Path(__file__), Path(memory.__file__)]
 _word = types.int64
 _external: Any = types.ExternalFunction
 _fast_cdr = ctypes.CDLL("libfastcdr.so.2")
@@ -123,25 +123,10 @@ class Callbacks:
     """Addresses of the compiled functions, made when the first service is."""
 
     def __init__(self) -> None:
-        self._compiled = [
-            _compile(_serialize, types.uint8(_word, _word)),
-            _compile(_deserialize, types.uint8(_word, _word)),
-            _compile(_size, types.uint32(_word)),
+        parts: list[tuple[Callable[..., int], Any]] = [
+            (_serialize, types.uint8(_word, _word)),
+            (_deserialize, types.uint8(_word, _word)),
+            (_size, types.uint32(_word)),
         ]
+        self._compiled = [compiled(function, signature, _SOURCES, numba.cfunc) for function, signature in parts]
         self.serialize, self.deserialize, self.size = (int(function.address) for function in self._compiled)
-
-
-def _compile(function: Any, signature: Any) -> Any:
-    """Compile, or load from the cache; its folder is set for this function alone."""
-    config: Any = numba.config
-    make: Any = numba.cfunc
-    before = config.CACHE_DIR
-    folder = cache_folder([Path(__file__), Path(memory.__file__)])
-    try:
-        config.CACHE_DIR = "" if folder is None else str(folder)
-        return make(signature, cache=folder is not None)(function)
-    except OSError as err:
-        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
-        return make(signature)(function)
-    finally:
-        config.CACHE_DIR = before
