@@ -12,7 +12,7 @@ tools="g++ git make python3-dev python3-venv"
 ros1="python3-actionlib python3-actionlib-msgs python3-diagnostic-msgs python3-geometry-msgs python3-map-msgs
     python3-move-base-msgs python3-nav-msgs python3-rosgraph-msgs python3-roslaunch python3-rosnode python3-rosparam
     python3-rospy python3-rosservice python3-rostopic python3-sensor-msgs python3-shape-msgs python3-std-msgs
-    python3-std-srvs python3-stereo-msgs python3-tf2 python3-tf2-msgs python3-trajectory-msgs
+    python3-std-srvs python3-stereo-msgs python3-tf2 python3-tf2-msgs python3-tf2-ros python3-trajectory-msgs
     python3-visualization-msgs"
 if [ "${CI:-}" = true ]; then
     tools="$tools systemd procps" # procps: the units reload by /bin/kill
