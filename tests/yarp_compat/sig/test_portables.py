@@ -13,7 +13,6 @@ from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
 from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
 from yarp_compat.sig import pointcloud
