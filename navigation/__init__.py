@@ -1,0 +1,1 @@
+"""The hosted navigation modules, a package each; `algorithms` are pure functions on arrays."""

@@ -1,0 +1,159 @@
+"""How fast a base may go, turn and change: from what is commanded to what its wheels are told.
+
+Each period: the command is smoothed (input filter), cut to what the base can hold (its speeds, the share between
+driving and turning, its motors), and approached no faster than its accelerations allow. What can be held is a convex
+set, and the step towards it stays inside, so no limit is ever exceeded, not even for one period.
+
+Robotology/navigation's ``baseControl2`` limits the acceleration first and scales afterwards, which lets a wheel's
+limit brake the base harder than its acceleration allows; its ratio limiter compares percent with metres per second
+and so never acts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from navigation.base_control.kinematics import Array, Kinematics
+from navigation.base_control.velocity import STILL, Velocity
+
+FILTERS = (0, 1, 2, 4, 8)
+"""The corner frequencies that filters can have, Hz; 0 is none."""
+
+_NEAR = 1e-12
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a base may do.
+
+    Attributes:
+        linear: m/s.
+        angular: rad/s.
+        linear_acceleration: m/s2, speeding up.
+        linear_braking: m/s2.
+        angular_acceleration: rad/s2, speeding up.
+        angular_braking: rad/s2.
+        wheel: the fastest that any wheel may turn, rad/s; all are slowed alike, so that the path stays the same.
+        ratio: the share that driving keeps where driving and turning together ask for more than 100 percent of their
+            maxima; None lets each go to its own maximum.
+        filter_hz: corner frequency of the input filter, 0 for none.
+    """
+
+    linear: float = 0.3
+    angular: float = math.radians(30.0)
+    linear_acceleration: float = 0.3
+    linear_braking: float = 0.3
+    angular_acceleration: float = math.radians(80.0)
+    angular_braking: float = math.radians(80.0)
+    wheel: float = math.radians(100.0)
+    ratio: float | None = None
+    filter_hz: int = 0
+
+
+class Limiter:
+    """Keeps a base within its limits; one `step` each period.
+
+    Args:
+        kinematics: of the base.
+        limits: what it may do; may be replaced while it drives.
+
+    Attributes:
+        now: the velocity that was given last.
+    """
+
+    def __init__(self, kinematics: Kinematics, limits: Limits) -> None:
+        self.kinematics, self.limits = kinematics, limits
+        self.now = STILL
+        self._smooth = STILL
+
+    def step(self, wanted: Velocity, seconds: float) -> Velocity:
+        """The velocity to drive at for the next period.
+
+        Args:
+            wanted: what is commanded, finite.
+            seconds: since the last step.
+        """
+        if not self.kinematics.holonomic:
+            wanted = Velocity(wanted.x, 0.0, wanted.turn)
+        self._smooth = _filtered(self._smooth, wanted, self.limits.filter_hz, seconds)
+        target = held(self._smooth, self.kinematics, self.limits)
+        # limits that were lowered while driving: nothing above them is held
+        start = held(self.now, self.kinematics, self.limits)
+        self.now = self._approached(start, target, seconds)
+        return self.now
+
+    def stop(self) -> None:
+        """Stand still at once, whatever the braking: an emergency stop."""
+        self.now = self._smooth = STILL
+
+    def wheels(self) -> Array:
+        """The wheels' velocities of where it is now, rad/s."""
+        return self.kinematics.wheels(self.now)
+
+    def _approached(self, start: Velocity, target: Velocity, seconds: float) -> Velocity:
+        """One period's way towards the target: each axis by itself where that can be held, else all in proportion."""
+        linear, turn = self._reach(start, target, seconds)
+        apart = Velocity(
+            start.x + (target.x - start.x) * linear,
+            start.y + (target.y - start.y) * linear,
+            start.turn + (target.turn - start.turn) * turn,
+        )
+        if _holds(apart, self.kinematics, self.limits):
+            return apart
+        share = min(linear, turn)
+        return _between(start, target, share)
+
+    def _reach(self, start: Velocity, target: Velocity, seconds: float) -> tuple[float, float]:
+        """Which share of the way to the target driving and turning come in one period."""
+        limits = self.limits
+        way = math.hypot(target.x - start.x, target.y - start.y)
+        speeding = target.speed > start.speed
+        linear = (limits.linear_acceleration if speeding else limits.linear_braking) * seconds
+        turning = target.turn - start.turn
+        faster = abs(target.turn) > abs(start.turn)
+        angular = (limits.angular_acceleration if faster else limits.angular_braking) * seconds
+        return min(1.0, linear / max(way, _NEAR)), min(1.0, angular / max(abs(turning), _NEAR))
+
+
+def held(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> Velocity:
+    """The nearest velocity in the same sense that a base can hold."""
+    share = min(1.0, limits.linear / max(velocity.speed, _NEAR))
+    turn = max(-limits.angular, min(limits.angular, velocity.turn))
+    cut = Velocity(velocity.x * share, velocity.y * share, turn)
+    if limits.ratio is not None:
+        cut = _shared(cut, limits, limits.ratio)
+    fastest = kinematics.fastest(cut)
+    if fastest > limits.wheel:
+        share = limits.wheel / fastest
+        cut = Velocity(cut.x * share, cut.y * share, cut.turn * share)
+    return cut
+
+
+def _shared(velocity: Velocity, limits: Limits, ratio: float) -> Velocity:
+    """Driving and turning together take no more than 100 percent of their maxima."""
+    linear = velocity.speed / limits.linear if limits.linear else 0.0
+    turn = abs(velocity.turn) / limits.angular if limits.angular else 0.0
+    if linear + turn <= 1.0:
+        return velocity
+    allowed = ratio if turn > 1.0 - ratio and linear > ratio else min(linear, 1.0 - turn) if linear > ratio else linear
+    along = allowed / linear if linear else 0.0
+    around = min(1.0, (1.0 - allowed) / turn) if turn else 0.0
+    return Velocity(velocity.x * along, velocity.y * along, velocity.turn * around)
+
+
+def _holds(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> bool:
+    cut = held(velocity, kinematics, limits)
+    return abs(cut.x - velocity.x) + abs(cut.y - velocity.y) + abs(cut.turn - velocity.turn) <= 1e-9
+
+
+def _filtered(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
+    """A low pass of first order."""
+    if hertz <= 0:
+        return wanted
+    share = 1.0 - math.exp(-2.0 * math.pi * hertz * seconds)
+    return _between(before, wanted, share)
+
+
+def _between(a: Velocity, b: Velocity, share: float) -> Velocity:
+    return Velocity(a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.turn + (b.turn - a.turn) * share)
