@@ -39,7 +39,7 @@ def test_transcode_compares_both_ways(case: str) -> None:
 
 def test_yarp_ports_beside_bare_sockets(tmp_path: Path) -> None:
     file = tmp_path / "rows.json"
-    yarp_ports.main(["--rounds", "1", "--share", "0.02", "--json", str(file)])
+    yarp_ports.main(["--rounds", "1", "--share", "0.02", "--cores", "two", "--json", str(file)])
     rows = json.loads(file.read_text())
     assert len(rows) == 8
     assert all(row["ours"] > 0 and row["peer"] > 0 for row in rows)
