@@ -13,7 +13,7 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from yarp_compat.wire.decoder import dict_of
 from yarp_compat.wire.encoder import entries_of, entry_values
@@ -32,13 +32,31 @@ _VARIABLE = re.compile(r"(\\.)|\$([({]?)([A-Za-z0-9_]*)", re.DOTALL)
 Entries = dict[str, Any]
 
 
-def read_file(name: str, entries: Entries, env: Searchable | None, wipe: bool) -> bool:
+class Place(NamedTuple):
+    """Where a key stands: the file's name as it was opened, and the line, counted from 1."""
+
+    file: str
+    line: int
+
+
+Places = dict[tuple[str, ...], Place]
+"""The places of keys: ``("GROUP", "key")``, and ``("GROUP",)`` for the group itself; the last of several."""
+
+
+def read_file(name: str, entries: Entries, env: Searchable | None, wipe: bool, places: Places | None = None) -> bool:
     """Take a file, or all files of a folder, into a dict of entries.
+
+    Args:
+        name: of the file.
+        entries: takes what is read.
+        env: where variables are looked up.
+        wipe: whether what is in ``entries`` goes.
+        places: takes where each key stands, for messages to people.
 
     Returns:
         False where there is none; then nothing changes.
     """
-    return _File(env, [], 0).read(name, entries, wipe)
+    return _File(env, [], 0, {} if places is None else places).read(name, entries, wipe)
 
 
 def read_folder(name: str, section: str, entries: Entries, wipe: bool) -> bool:
@@ -57,14 +75,23 @@ def read_folder(name: str, section: str, entries: Entries, wipe: bool) -> bool:
 
 def read(text: str, entries: Entries, env: Searchable | None) -> None:
     """Take a file's text into a dict of entries."""
-    _File(env, [], 0).take(text, entries)
+    _File(env, [], 0, {}).take(text, entries)
 
 
 class _File:
-    """One file, with what it may look up and where it may look for others."""
+    """One file, with what it may look up and where it may look for others; ``within`` are the groups it stands in."""
 
-    def __init__(self, env: Searchable | None, folders: list[str], depth: int) -> None:
+    def __init__(
+        self,
+        env: Searchable | None,
+        folders: list[str],
+        depth: int,
+        places: Places,
+        name: str = "",
+        within: tuple[str, ...] = (),
+    ) -> None:
         self._env = env
+        self._places, self._name, self._within = places, name, within
         self._depth = depth
         self._folders = folders
         if env is not None and not folders and (path := env.find("CONFIG_PATH").toString()):
@@ -81,7 +108,8 @@ class _File:
             if text is not None:
                 if wipe:
                     entries.clear()
-                _File(self._env, [*self._folders, str(path.parent)], self._depth + 1).take(text, entries)
+                folders = [*self._folders, str(path.parent)]
+                _File(self._env, folders, self._depth + 1, self._places, str(path), self._within).take(text, entries)
                 return True
         log.error("cannot read the configuration file %s", name)
         return False
@@ -90,22 +118,29 @@ class _File:
         """Take all lines."""
         group = ""
         content: list[Any] = []
-        for line in _lines(text):
+        for number, line in _lines(text):
             # what is open at the file's end is taken as it is, as YARP does
             buf = self._expanded(_uncommented(line), entries) if is_complete(line) else line
             if buf.startswith("[") and "]" in buf and is_complete(line):
                 _close(group, content, entries)
                 group, content = self._header(buf[1 : buf.index("]")], entries), []
+                self._note(number, group)
                 content = list(entry_values(entries.get(group, ())))
                 continue
             values = from_text(buf)
             if len(values) > 1 and values[1] == "=":
                 del values[1]
+            if values:
+                self._note(number, group, plain_text(values[0]))
             if values and group:
                 content.append(values)
             elif values:
                 entries.update(dict_of([values]))
         _close(group, content, entries)
+
+    def _note(self, line: int, *keys: str) -> None:
+        if any(keys):
+            self._places[*self._within, *filter(None, keys)] = Place(self._name, line)
 
     def _header(self, header: str, entries: Entries) -> str:
         """What stands in brackets: the name of the group that begins, or empty."""
@@ -133,7 +168,8 @@ class _File:
         if listed:
             _list_name(listed[0], group, entries)
         inner = dict_of(list(entry_values(entries.get(group, ()))))
-        self.read(name, inner, wipe=False)
+        within = (*self._within, group)
+        _File(self._env, self._folders, self._depth, self._places, within=within).read(name, inner, wipe=False)
         if inner:
             entries.update(dict_of([[group, *entries_of(inner)]]))
 
@@ -186,16 +222,18 @@ def _list_name(key: str, name: str, entries: Entries) -> None:
     entries.update(dict_of([[key, *entry_values(entries.get(key, ())), name]]))
 
 
-def _lines(text: str) -> Iterator[str]:
-    """Lines; those with open brackets or quotes go on."""
+def _lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines with the numbers of their first; those with open brackets or quotes go on."""
     pending = ""
-    for line in text.split("\n"):
+    first = 1
+    for number, line in enumerate(text.split("\n"), 1):
+        first = first if pending else number
         pending += line
         if is_complete(pending):
-            yield pending
+            yield first, pending
             pending = ""
     if pending:
-        yield pending
+        yield first, pending
 
 
 def _uncommented(line: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -275,3 +276,22 @@ def test_a_stamp_as_envelope() -> None:
     for wrong in ("1", "1 2 3 4", "1.5 2", "1 2.0 3"):
         with pytest.raises(WireError):
             Stamp.from_bytes(Bottle(wrong).to_bytes())
+
+
+def test_where_keys_stand(tmp_path: Path) -> None:
+    (tmp_path / "inner.ini").write_text("deep 1\n[SUB]\nleaf 2 // comment\n")
+    main = tmp_path / "main.ini"
+    main.write_text(
+        "name = x\n\n[A] # group\nlist (1\n 2)\nafter 3\n"
+        '[include "inner.ini"]\n[include B "inner.ini"]\nlast 4\nafter 5\n'
+    )
+    entries: dict[str, Any] = {}
+    places: config_text.Places = {}
+    assert config_text.read_file(str(main), entries, None, wipe=True, places=places)
+    inner = str(tmp_path / "inner.ini")
+    assert {keys: place.line for keys, place in places.items() if place.file == str(main)} == {
+        ("name",): 1, ("A",): 3, ("A", "list"): 4, ("A", "after"): 6, ("last",): 9, ("after",): 10,
+    }  # fmt: skip
+    assert {keys: place.line for keys, place in places.items() if place.file == inner} == {
+        ("deep",): 1, ("SUB",): 2, ("SUB", "leaf"): 3, ("B", "deep"): 1, ("B", "SUB"): 2, ("B", "SUB", "leaf"): 3,
+    }  # fmt: skip
