@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Annotated
 
-from yarp_compat.dev.fields import INT8
 from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.imap2d import IMap2DMsgs
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.dev.service import Service, rpc
@@ -38,20 +38,6 @@ class LocalizationStatus(Enum):
     NOT_YET = "locn"
     OK = "locy"
     ERROR = "err"
-
-
-@dataclass
-class Map(Structure):
-    width: int = 2
-    height: int = 2
-    origin_x: float = 0.0
-    origin_y: float = 0.0
-    origin_theta: float = 0.0
-    resolution: float = 1.0
-    name: str = ""
-    compressed: Annotated[int, INT8] = 1
-    occupancy: bytes = b""
-    flags: bytes = b""
 
 
 class Navigation(Service):
@@ -84,50 +70,13 @@ class Navigation(Service):
     @rpc
     def get_current_nav_waypoint_RPC(self) -> tuple[ReturnValue, Map2DLocation]: ...
     @rpc
-    def get_current_navigation_map_RPC(self, kind: Extent) -> tuple[ReturnValue, Map]: ...
+    def get_current_navigation_map_RPC(self, kind: Extent) -> tuple[ReturnValue, MapGrid2D]: ...
     @rpc
     def follow_path_RPC(self, path: Map2DPath) -> ReturnValue: ...
     @rpc
     def apply_velocity_command_RPC(self, x: float, y: float, theta: float, timeout: float) -> ReturnValue: ...
     @rpc
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]: ...
-
-
-class Maps(Service):
-    @rpc
-    def store_map_RPC(self, the_map: Map) -> ReturnValue: ...
-    @rpc
-    def get_map_RPC(self, name: str) -> tuple[ReturnValue, Map]: ...
-    @rpc
-    def get_map_names_RPC(self) -> tuple[ReturnValue, list[str]]: ...
-    @rpc
-    def store_location_RPC(self, name: str, loc: Map2DLocation) -> ReturnValue: ...
-    @rpc
-    def store_area_RPC(self, name: str, area: Map2DArea) -> ReturnValue: ...
-    @rpc
-    def store_path_RPC(self, name: str, path: Map2DPath) -> ReturnValue: ...
-    @rpc
-    def store_object_RPC(self, name: str, thing: Map2DObject) -> ReturnValue: ...
-    @rpc
-    def get_location_RPC(self, name: str) -> tuple[ReturnValue, Map2DLocation]: ...
-    @rpc
-    def get_area_RPC(self, name: str) -> tuple[ReturnValue, Map2DArea]: ...
-    @rpc
-    def get_path_RPC(self, name: str) -> tuple[ReturnValue, Map2DPath]: ...
-    @rpc
-    def get_object_RPC(self, name: str) -> tuple[ReturnValue, Map2DObject]: ...
-    @rpc
-    def get_all_locations_RPC(self) -> tuple[ReturnValue, list[Map2DLocation]]: ...
-    @rpc
-    def get_all_objects_RPC(self) -> tuple[ReturnValue, list[Map2DObject]]: ...
-    @rpc
-    def get_all_paths_RPC(self) -> tuple[ReturnValue, list[Map2DPath]]: ...
-    @rpc
-    def get_locations_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
-    @rpc
-    def get_areas_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
-    @rpc
-    def get_paths_list_RPC(self) -> tuple[ReturnValue, list[str]]: ...
 
 
 class Localization(Service):
@@ -152,7 +101,7 @@ class Transforms(Service):
     def setTransformRPC(self, transform: FrameTransform) -> ReturnValue: ...
 
 
-class All(Navigation, Maps, Localization, Transforms):
+class All(Navigation, IMap2DMsgs, Localization, Transforms):
     """Every method, so that a transcript's requests need no sorting."""
 
 

@@ -1,0 +1,312 @@
+"""Every call of IMap2D: its bytes by the rules of YARP's generated code, and our client with a server of ours."""
+
+from __future__ import annotations
+
+import inspect
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.yarp_compat.dev.keptmaps import KeptMaps
+from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
+from yarp_compat.dev.imap2d import IMap2DMsgs
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.map2d_client import IMap2D, Map2DClient
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.server import Server
+from yarp_compat.os.stdvector import SVector
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.sig.vec2d import Vec2D
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.profile import Profile
+
+__all__ = ["make_port", "naming"]
+
+KITCHEN = Map2DLocation("m1", 1.0, 2.0, 90.0, "by the door")
+CUP = Map2DObject("m1", 1, 2, 3, 4, 5, 6, "a cup")
+ROOM = Map2DArea("m1", [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)], "a room")
+WAY = Map2DPath([KITCHEN, Map2DLocation("m1", 3, 4)], "a way")
+PLACES: dict[str, Any] = {"object": CUP, "location": KITCHEN, "area": ROOM, "path": WAY}
+
+
+def small_map() -> MapGrid2D:
+    made = MapGrid2D.of(np.arange(6).reshape(2, 3), name="m1", resolution=0.5, origin=(1, 2, 0))
+    made.enable_map_compression_over_network(False)
+    return made
+
+
+# -- bytes, written down without the code under test ------------------------------------------------------------------
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<ii", 4, len(value)) + value.encode()
+
+
+def vocab(value: str) -> bytes:
+    return struct.pack("<i4s", 9, value.encode())
+
+
+def listed(*elements: bytes) -> bytes:
+    return struct.pack("<ii", 256, len(elements)) + b"".join(elements)
+
+
+class Bytes:
+    """Values as one generation writes them."""
+
+    def __init__(self, generation: Generation) -> None:
+        self.generation = generation
+        self.f64 = 20 if generation is Generation.YARP_4 else 10
+
+    def number(self, value: float) -> bytes:
+        return struct.pack("<id", self.f64, value)
+
+    def of(self, value: Any) -> bytes:
+        match value:
+            case bool():
+                return vocab("ok" if value else "fail")
+            case str():
+                return text(value)
+            case list() if value and isinstance(value[0], str):
+                return struct.pack("<ii", 260, len(value)) + b"".join(text(each)[4:] for each in value)
+            case list():
+                return listed(*map(self.of, value))
+            case ReturnValue():
+                return self.outcome(value.code)
+            case Map2DLocation():
+                return listed(text(value.map_id), *map(self.number, (value.x, value.y, value.theta)),
+                              text(value.description))  # fmt: skip
+            case Map2DObject():
+                pose = (value.x, value.y, value.z, value.roll, value.pitch, value.yaw)
+                return listed(text(value.map_id), *map(self.number, pose), text(value.description))
+            case Map2DArea():
+                corners = [struct.pack("<iidd", 256 + self.f64, 2, point.x, point.y) for point in value.points]
+                return listed(text(value.map_id), listed(*corners), text(value.description))
+            case Map2DPath():
+                return listed(listed(*map(self.of, value.waypoints)), text(value.description))
+            case MapGrid2D():
+                blobs = [struct.pack("<ii", 12, 6) + cells.tobytes() for cells in (value.occupancy, value.flags)]
+                size = [struct.pack("<ii", 1, number) for number in (value.width(), value.height())]
+                place = map(self.number, (*value.getOrigin(), value.resolution))
+                return listed(*size, *place, text(value.name), struct.pack("<ib", 32, 0), *blobs)
+        raise TypeError(value)
+
+    def outcome(self, code: ReturnCode) -> bytes:
+        if self.generation is Generation.YARP_4:
+            return listed(vocab({ReturnCode.OK: "ok", ReturnCode.METHOD_FAILED: "err5"}[code]))
+        number = {ReturnCode.OK: 0, ReturnCode.METHOD_FAILED: 5}[code]
+        if self.generation is Generation.YARP_3_12:
+            return struct.pack("<ii", 1, number)
+        if self.generation is Generation.YARP_3_11:
+            return struct.pack("<q", number)
+        return vocab("ok" if code is ReturnCode.OK else "fail")
+
+    def request(self, name: str, *arguments: Any) -> bytes:
+        words = [vocab(word) if len(word) <= 4 else text(word) for word in name.split("_")]
+        return listed(*words, *map(self.of, arguments))
+
+    def reply(self, outcome: ReturnValue, *results: Any) -> bytes:
+        if results or self.generation is Generation.YARP_3_6:
+            return listed(self.of(outcome), *map(self.of, results))
+        return self.of(outcome)
+
+
+def every_call() -> Iterator[tuple[str, tuple[Any, ...], tuple[Any, ...]]]:
+    """Each method, with arguments, and with what it returns beside its outcome."""
+    grid = small_map()
+    for name in ("clear_all_maps", "clear_all_maps_temporary_flags", "reload_maps_collection"):
+        yield name, (), ()
+    yield "reload_locations_and_extras", (), ()
+    yield "store_map", (grid,), ()
+    yield "get_map", ("m1",), (grid,)
+    yield "get_map_names", (), (["m1", "m2"],)
+    for name in ("remove_map", "clear_map_temporary_flags", "load_map_from_disk"):
+        yield name, ("m1",), ()
+    yield "save_map_to_disk", ("m1", "m1.map"), ()
+    yield "enable_maps_compression", (False,), ()
+    for name in ("maps_collection", "locations_and_extras"):
+        yield f"save_{name}", ("some.ini",), ()
+        yield f"load_{name}", ("some.ini",), ()
+    for kind, value in PLACES.items():
+        yield f"store_{kind}", ("a name", value), ()
+        yield f"get_{kind}", ("a name",), (value,)
+        yield f"get_{kind}s_list", (), (["one", "two"],)
+        yield f"get_all_{kind}s", (), ([value, value],)
+        yield f"rename_{kind}", ("old", "new"), ()
+        yield f"delete_{kind}", ("a name",), ()
+        yield f"clear_all_{kind}s", (), ()
+
+
+CALLS = {f"{name}_RPC": (arguments, results) for name, arguments, results in every_call()}
+
+
+class Says(IMap2DMsgs):
+    """Answers one call, and keeps what it was asked."""
+
+    def __init__(self, returned: Any) -> None:
+        super().__init__()
+        self.returned, self.asked = returned, ()
+
+    def __getattribute__(self, name: str) -> Any:
+        return self.said if name.endswith("_RPC") else super().__getattribute__(name)
+
+    def said(self, *arguments: Any) -> Any:
+        self.asked = arguments
+        if isinstance(self.returned, Exception):
+            raise self.returned
+        return self.returned
+
+
+def test_all_calls_are_here() -> None:
+    assert set(CALLS) == set(IMap2DMsgs.calls())
+    assert len(CALLS) == 44
+
+
+@pytest.mark.parametrize("generation", Generation)
+@pytest.mark.parametrize("name", CALLS)
+def test_the_bytes_of_a_call(name: str, generation: Generation) -> None:
+    arguments, results = CALLS[name]
+    call, rules = IMap2DMsgs.calls()[name], Bytes(generation)
+    request = rules.request(name, *arguments)
+    assert call.request(arguments, generation.profile) == request
+    server = Says((OK, *results) if results else OK)
+    reply = Server(server, Generations(generation)).answer(request, "/peer", generation.profile)
+    assert list(server.asked) == list(arguments)
+    assert reply == rules.reply(OK, *results)
+    found = call.read_reply(reply, generation)
+    assert found.results == [OK, *results]
+
+
+@pytest.mark.parametrize("generation", Generation)
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_that_fails_has_defaults_beside_its_outcome(name: str, generation: Generation) -> None:
+    arguments, results = CALLS[name]
+    rules, failed = Bytes(generation), ReturnValue(ReturnCode.METHOD_FAILED)
+    reply = Server(Says(CallFailed()), Generations(generation)).answer(rules.request(name, *arguments), "/peer")
+    found = IMap2DMsgs.calls()[name].read_reply(reply, generation).results
+    assert found == [failed, *([type(result)() for result in results])]
+    assert reply.startswith(rules.reply(failed, *results)[: 8 if results else None])
+
+
+# -- a client and a server --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def kept() -> KeptMaps:
+    return KeptMaps()
+
+
+@pytest.fixture(params=Generation)
+def client(
+    request: pytest.FixtureRequest, kept: KeptMaps, make_port: MakePort, naming: LocalNaming
+) -> Iterator[Map2DClient]:
+    generation: Generation = request.param
+    server = Server(kept, Generations(generation))
+    make_port("/maps/rpc", server, rpc=True, on_event=server.on_event, profile=generation.profile)
+    with Map2DClient("fast_tcp://maps/rpc", "/client", naming=naming) as made:
+        yield made
+
+
+def test_yarps_methods(client: Map2DClient, kept: KeptMaps) -> None:
+    names, grid = SVector(), MapGrid2D()
+    assert client.store_map(small_map())
+    assert client.get_map("m1", grid)
+    assert grid == small_map()
+    assert client.get_map("none", grid).code is ReturnCode.METHOD_FAILED
+    assert grid == small_map()
+    assert client.get_map_names(names)
+    assert names == ["m1"]
+    assert client.clearMapTemporaryFlags("m1")
+    assert MapFlag.TEMPORARY_OBSTACLE not in kept.kept["map"]["m1"].flags
+    for kind, value in PLACES.items():
+        called = {name: getattr(client, name.format(kind.capitalize())) for name in
+                  ("store{}", "get{}", "get{}sList", "getAll{}s", "rename{}", "delete{}", "clearAll{}s")}  # fmt: skip
+        assert called["store{}"]("a", value)
+        assert called["rename{}"]("a", "b")
+        assert not called["rename{}"]("a", "c")
+        found, names, everything = type(value)(), SVector(["x"]), [1, 2]
+        assert called["get{}"]("b", found)
+        assert called["get{}sList"](names)
+        assert called["getAll{}s"](everything)
+        assert (found, names, everything) == (value, ["b"], [value])
+        assert called["delete{}"]("b")
+        assert not called["delete{}"]("b")
+        assert called["store{}"]("c", value)
+        assert called["clearAll{}s"]()
+        assert kept.kept[kind] == {}
+    files = {"saveMapToDisk": ("m1", "f"), "loadMapFromDisk": ("f",), "saveMapsCollection": ("f",),
+             "loadMapsCollection": ("f",), "saveLocationsAndExtras": ("f",), "loadLocationsAndExtras": ("f",),
+             "reloadMapsCollection": (), "reloadLocationsAndExtras": (), "enableMapsCompression": (False,)}  # fmt: skip
+    for name, arguments in files.items():
+        assert getattr(client, name)(*arguments), name
+    assert [asked[1:] for asked in kept.files] == list(files.values())
+    assert client.clearAllMapsTemporaryFlags()
+    assert client.store_map(small_map())
+    assert client.remove_map("m1")
+    assert client.clearAllMaps()
+
+
+def test_the_python_way(client: Map2DClient, kept: KeptMaps) -> None:
+    client.maps["m1"] = small_map()
+    assert client.maps["m1"] == small_map()
+    assert list(client.maps) == ["m1"]
+    with pytest.raises(ValueError, match="own name"):
+        client.maps["other"] = small_map()
+    with pytest.raises(KeyError):
+        client.maps["none"]
+    for kind, value in PLACES.items():
+        views: dict[str, Any] = {name: getattr(client, f"{name}s") for name in PLACES}
+        view = views[kind]
+        view["a"] = value
+        assert dict(view) == {"a": value}
+        assert view.everything() == [value]
+        view.rename("a", "b")
+        assert "a" not in view
+        del view["b"]
+        with pytest.raises(KeyError):
+            del view["b"]
+        assert len(view) == 0
+        view.clear()
+    client.maps.save("m1", "f")
+    client.maps.load("f")
+    client.maps.save_collection("f")
+    client.maps.load_collection("f")
+    client.maps.reload()
+    client.maps.compress(True)
+    client.save_places("f")
+    client.load_places("f")
+    client.reload_places()
+    client.maps.clear_temporary_flags("m1")
+    assert len(kept.files) == 9
+    del client.maps["m1"]
+    client.maps.clear()
+
+
+def test_a_client_comes_back_to_a_server_that_was_away(make_port: MakePort, naming: LocalNaming) -> None:
+    first = make_port("/maps/rpc", Server(KeptMaps()), rpc=True)
+    with Map2DClient("/maps/rpc", "/client", naming=naming, timeout=10) as client:
+        client.locations["kitchen"] = KITCHEN
+        first.close()
+        assert client.clearAllMaps().code is ReturnCode.COMMUNICATION
+        with pytest.raises(ConnectionError):
+            client.locations["kitchen"]
+        make_port("/maps/rpc", Server(KeptMaps()), rpc=True)
+        assert list(client.locations) == []
+
+
+def test_names_are_as_yarp_has_them() -> None:
+    """The client has a method for each of the service's."""
+    methods = [name for name, _ in inspect.getmembers(IMap2D, inspect.isfunction) if not name.startswith("_")]
+    assert len(methods) == 44
+    assert {"getAllLocations", "store_map", "reloadLocationsAndExtras", "enableMapsCompression"} <= set(methods)
+
+
+def test_a_name_in_one_word_is_known_too() -> None:
+    """As ``yarp rpc`` sends it."""
+    kept = KeptMaps()
+    kept.kept["map"]["m1"] = small_map()
+    reply = Server(kept).answer(listed(text("get_map_names_RPC")), "/peer", Profile.YARP3)
+    assert reply == Bytes(Generation.YARP_3_12).reply(OK, ["m1"])
