@@ -1,0 +1,309 @@
+"""One daemon's copy of the store, as bytes: what is written here or comes from others, merged key by key."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bridge.hub.errands import Errands
+from bridge.stores.entry import LATEST, Entry, Stamp, Version, follow
+from bridge.stores.errors import StoreError
+from bridge.stores.merge import conflict
+from bridge.stores.table import Table
+
+_log = logging.getLogger(__name__)
+
+_DAY_NS = 86_400 * 1_000_000_000
+_MOST_CONFLICTS = 20
+"""Conflicts that the status names."""
+
+Key = tuple[str, str]
+Body = tuple[bytes, str]
+"""A value's bytes and their encoding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a replica holds at most.
+
+    Attributes:
+        keys: values.
+        size: bytes of all values together.
+        deleted: deleted keys that are remembered.
+        deleted_days: days for which they are.
+    """
+
+    keys: int = 10_000
+    size: int = 1 << 30
+    deleted: int = 10_000
+    deleted_days: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A key was written or deleted.
+
+    Attributes:
+        origin: the daemon that did.
+        here: whether this replica is where it was done.
+    """
+
+    kind: str
+    name: str
+    deleted: bool
+    origin: str
+    here: bool
+
+
+Heard = Callable[[Change], Any]
+Sent = Callable[[Sequence[Entry]], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    version: Version
+    size: int | None
+
+
+class Replica:
+    """See the module. Safe to use from any thread.
+
+    Args:
+        file: its database.
+        origin: the daemon's name.
+        limits: what it holds at most.
+
+    Raises:
+        StoreError: the file cannot be used.
+    """
+
+    def __init__(self, file: Path, origin: str, limits: Limits | None = None) -> None:
+        self.origin, self.limits = origin, limits or Limits()
+        self._lost: deque[str] = deque(maxlen=_MOST_CONFLICTS)
+        self.conflict_count = 0
+        self._table = Table(file)
+        self.id = self._table.replica
+        self._known: dict[Key, _Known] = {key: _Known(version, size) for key, version, size in self._table.versions()}
+        self._size = sum(known.size or 0 for known in self._known.values())
+        self._live = sum(known.size is not None for known in self._known.values())
+        self._lock = threading.RLock()
+        self._last = 0
+        self._watches: list[tuple[frozenset[str], Heard]] = []
+        self._senders: list[Sent] = []
+        self._events = Errands("store-events")
+        self._closed = False
+
+    def get(self, kind: str, name: str) -> Body | None:
+        """A key's value, None where there is none."""
+        with self._lock:
+            self._check_open()
+            known = self._known.get((kind, name))
+            if known is None or known.size is None:
+                return None
+            body, encoding = self._table.body(kind, name)
+        return None if body is None else (body, encoding)
+
+    def entry(self, kind: str, name: str) -> Entry | None:
+        """A key with its version, None where it was never there; deleted ones have no body."""
+        with self._lock:
+            self._check_open()
+            known = self._known.get((kind, name))
+            if known is None:
+                return None
+            body, encoding = self._table.body(kind, name)
+            return Entry(kind, name, body, encoding, known.version)
+
+    def names(self, kind: str) -> list[str]:
+        """The names of a kind's values, sorted."""
+        with self._lock:
+            return sorted(
+                name for (each, name), known in self._known.items() if each == kind and known.size is not None
+            )
+
+    def has(self, kind: str, name: str) -> bool:
+        """Whether a key has a value."""
+        with self._lock:
+            known = self._known.get((kind, name))
+            return known is not None and known.size is not None
+
+    def still(self) -> threading.RLock:
+        """A lock: while it is held nothing is written by others."""
+        return self._lock
+
+    def remembers(self, kind: str, name: str) -> bool:
+        """Whether the key has a value, or had one that was deleted."""
+        with self._lock:
+            return (kind, name) in self._known
+
+    def versions(self) -> Mapping[Key, tuple[Stamp, int]]:
+        """Every key's stamp and its value's size; deleted ones too, as long as they are remembered."""
+        oldest = self._oldest()
+        with self._lock:
+            return {
+                key: (known.version.stamp, known.size or 0)
+                for key, known in self._known.items()
+                if known.size is not None or known.version.stamp.ns > oldest
+            }
+
+    def write(self, changes: Mapping[Key, Body | None]) -> list[Entry]:
+        """Write values, or delete them (None), in one transaction; on the disk when this returns.
+
+        Raises:
+            StoreError: there is no room, or the file cannot be written; nothing has changed.
+        """
+        with self._lock:
+            self._check_open()
+            entries = [self._stamped(key, body) for key, body in changes.items()]
+            self._take(entries, here=True)
+            for send in self._senders:
+                send(entries)
+        return entries
+
+    def merge(self, entry: Entry) -> bool:
+        """Take an entry of another replica; whether it holds now.
+
+        Raises:
+            StoreError: there is no room, or the file cannot be written.
+        """
+        with self._lock:
+            self._check_open()
+            known = self._known.get(entry.key)
+            if known is not None:
+                if known.version.stamp == entry.version.stamp:
+                    return False
+                self._compare(entry)
+                if known.version.stamp > entry.version.stamp:
+                    return False
+            elif entry.body is None and entry.version.stamp.ns <= self._oldest():
+                return False
+            self._take([entry], here=False)
+        return True
+
+    def watch(self, heard: Heard, kinds: Iterable[str] = ()) -> Callable[[], None]:
+        """Hear of every change of some kinds (none: of all) until the returned function is called.
+
+        It is called on the replica's own thread, for one change after the other, and is to return soon.
+        """
+        watch = (frozenset(kinds), heard)
+        with self._lock:
+            self._watches.append(watch)
+
+        def close() -> None:
+            with self._lock:
+                if watch in self._watches:
+                    self._watches.remove(watch)
+
+        return close
+
+    def on_write(self, send: Sent) -> Callable[[], None]:
+        """Have what is written here sent, on the writer's thread, until the returned function is called."""
+        with self._lock:
+            self._senders.append(send)
+
+        def close() -> None:
+            with self._lock:
+                if send in self._senders:
+                    self._senders.remove(send)
+
+        return close
+
+    def status(self) -> dict[str, Any]:
+        """How many keys of each kind, and what was lost to others, for the status document."""
+        with self._lock:
+            live = [kind for (kind, _), known in self._known.items() if known.size is not None]
+            return {
+                "keys": {kind: live.count(kind) for kind in sorted(set(live))},
+                "deleted": len(self._known) - len(live),
+                "bytes": self._size,
+                "conflicts": self.conflict_count,
+                "lost": list(self._lost),
+            }
+
+    def close(self) -> None:
+        """Close the file; changes that wait to be heard are heard before. Safe to call twice."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._table.close()
+        self._events.close()
+
+    def _stamped(self, key: Key, body: Body | None) -> Entry:
+        before = self._known.get(key)
+        now = self._last = max(time.time_ns(), self._last + 1)
+        # a key from a machine whose clock is ahead is changed all the same, and other keys keep our time
+        above = 0 if before is None else before.version.stamp.ns + 1
+        if above >= LATEST:
+            msg = f"{key[0]} {key[1]!r} was written with a time that cannot be followed; delete it at its origin"
+            raise StoreError(msg)
+        version = follow(None if before is None else before.version, Stamp(max(now, above), self.id), self.origin)
+        data, encoding = (None, "") if body is None else body
+        return Entry(*key, data, encoding, version)
+
+    def _take(self, entries: Sequence[Entry], *, here: bool) -> None:
+        size, live = self._size, self._live
+        for entry in entries:
+            before = self._known.get(entry.key)
+            before_size = None if before is None else before.size
+            size += (0 if entry.body is None else len(entry.body)) - (before_size or 0)
+            live += (entry.body is not None) - (before_size is not None)
+        self._check_room(size, live)
+        gone = self._forgettable(entries)
+        self._table.write(entries, gone)
+        self._size, self._live = size, live
+        for entry in entries:
+            self._known[entry.key] = _Known(entry.version, None if entry.body is None else len(entry.body))
+        for key in gone:
+            del self._known[key]
+        for entry in entries:
+            self._tell(Change(entry.kind, entry.name, entry.body is None, entry.version.origin, here))
+
+    def _check_room(self, size: int, live: int) -> None:
+        if live > max(self.limits.keys, self._live):
+            msg = f"the store has {self._live} values, and may have {self.limits.keys} (store.keys)"
+        elif size > max(self.limits.size, self._size):
+            msg = f"the store has {self._size >> 20} MB, and may have {self.limits.size >> 20} MB (store.megabytes)"
+        else:
+            return
+        raise StoreError(msg)
+
+    def _forgettable(self, entries: Sequence[Entry]) -> list[Key]:
+        """Deleted keys that are remembered no longer: too old, or too many."""
+        coming = sum(entry.body is None for entry in entries)
+        if not coming:
+            return []
+        written = {entry.key for entry in entries}
+        dead = sorted(
+            (known.version.stamp.ns, key)
+            for key, known in self._known.items()
+            if known.size is None and key not in written
+        )
+        oldest, many = self._oldest(), len(dead) + coming - self.limits.deleted
+        return [key for number, (ns, key) in enumerate(dead) if ns <= oldest or number < many]
+
+    def _oldest(self) -> int:
+        return time.time_ns() - int(self.limits.deleted_days * _DAY_NS)
+
+    def _compare(self, entry: Entry) -> None:
+        ours = self.entry(*entry.key)
+        found = None if ours is None else conflict(ours, entry)
+        if found is not None:
+            self.conflict_count += 1
+            self._lost.append(str(found))
+            _log.warning("%s", found)
+
+    def _tell(self, change: Change) -> None:
+        for kinds, heard in tuple(self._watches):
+            if not kinds or change.kind in kinds:
+                self._events.send(lambda heard=heard: heard(change))  # type: ignore[misc]
+
+    def _check_open(self) -> None:
+        if self._closed:
+            msg = "the store is closed"
+            raise StoreError(msg)

@@ -1,0 +1,153 @@
+"""The store as modules use it: maps, locations and the like as values.
+
+What is written is on the disk when the call returns, and on its way to the other machines; see `bridge.stores.sharing`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, KINDS, MAP, Kind
+from bridge.stores.names import check_name
+from bridge.stores.replica import Body, Change, Heard, Key, Replica
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+
+__all__ = ["Change", "Store", "Write"]
+
+T = TypeVar("T")
+
+_THE_MAP = "map"
+_BESIDE: dict[str, Kind[Any]] = {AREA.name: BEHAVIOUR}
+"""What goes where a key of another kind goes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Write(Generic[T]):
+    """A value to be written under a name, or deleted where it is None."""
+
+    kind: Kind[T]
+    name: str
+    value: T | None
+
+
+class Store:
+    """Values by kind and name. Safe to use from any thread.
+
+    Args:
+        replica: this machine's copy.
+    """
+
+    def __init__(self, replica: Replica) -> None:
+        self.replica = replica
+
+    def get(self, kind: Kind[T], name: str) -> T | None:
+        """A value, a copy of the caller's own; None where there is none."""
+        found = self.replica.get(kind.name, name)
+        return None if found is None else kind.decode(name, found[0])
+
+    def names(self, kind: Kind[Any]) -> list[str]:
+        """The names of a kind's values, sorted."""
+        return self.replica.names(kind.name)
+
+    def all(self, kind: Kind[T]) -> dict[str, T]:
+        """All values of a kind, in the order of their names."""
+        found = {name: self.get(kind, name) for name in self.names(kind)}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def put(self, kind: Kind[T], name: str, value: T) -> None:
+        """Write a value; raises `StoreError` where its name, its size or the value itself cannot be."""
+        self.write([Write(kind, name, value)])
+
+    def delete(self, kind: Kind[Any], name: str) -> bool:
+        """Delete a value; whether there was one."""
+        with self.replica.still():
+            there = self.replica.has(kind.name, name)
+            if there:
+                self.write([Write(kind, name, None)])
+        return there
+
+    def clear(self, kind: Kind[Any]) -> int:
+        """Delete all values of a kind; how many there were."""
+        names = self.names(kind)
+        self.write([Write(kind, name, None) for name in names])
+        return len(names)
+
+    def rename(self, kind: Kind[Any], old: str, new: str) -> None:
+        """Give a value another name; raises `StoreError` where the old one is not there or the new one is."""
+        check_name(new)
+        with self.replica.still():
+            changes: dict[Key, Body | None] = {}
+            for each in (kind, *filter(None, [_BESIDE.get(kind.name)])):
+                value = self.get(each, old)
+                if each is kind and value is None:
+                    msg = f"there is no {kind.name} {old!r}"
+                    raise StoreError(msg)
+                if each is kind and self.replica.has(kind.name, new):
+                    msg = f"{kind.name} {new!r} is there already"
+                    raise StoreError(msg)
+                if value is not None:
+                    changes[each.name, new] = each.encode(new, value)
+                    changes[each.name, old] = None
+            self.replica.write(changes)
+
+    def write(self, writes: Sequence[Write[Any]]) -> None:
+        """Write and delete values in one transaction; where a key stands twice the last holds.
+
+        Raises:
+            StoreError: a name, a size or a value cannot be, or the store is full; nothing has changed.
+        """
+        changes: dict[Key, Body | None] = {}
+        for each in writes:
+            kind, name = each.kind, check_name(each.name)
+            changes[kind.name, name] = None if each.value is None else kind.encode(name, each.value)
+            if each.value is None and kind.name in _BESIDE:
+                changes.setdefault((_BESIDE[kind.name].name, name), None)
+        with self.replica.still():
+            # what is not there is not deleted again
+            changes = {key: body for key, body in changes.items() if body is not None or self.replica.has(*key)}
+            self.replica.write(changes)
+
+    def behaviour(self, area: str) -> AreaBehaviour:
+        """What an area asks of robots: as it is kept beside it, else as its description says; nothing by default."""
+        kept = self.get(BEHAVIOUR, area)
+        found = self.get(AREA, area) if kept is None else None
+        if found is None:
+            return kept or AreaBehaviour()
+        try:
+            return AreaBehaviour.from_text(found.description) or AreaBehaviour()
+        except ValueError as err:
+            raise StoreError(f"area {area!r}: {err}") from None
+
+    def current_map(self) -> str:
+        """The name of the map that is in use, "" where none was chosen."""
+        return self.get(CURRENT, _THE_MAP) or ""
+
+    def use_map(self, name: str) -> None:
+        """Choose the map that is in use; raises `StoreError` where there is none of the name."""
+        if not self.replica.has(MAP.name, name):
+            msg = f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}"
+            raise StoreError(msg)
+        self.put(CURRENT, _THE_MAP, name)
+
+    def watch(self, heard: Heard, *kinds: Kind[Any]) -> Callable[[], None]:
+        """Hear of every change of some kinds (none: of all), made here or elsewhere.
+
+        ``heard`` is called until the returned function is, on the store's own thread, one change after the other; it is
+        to return soon.
+        """
+        return self.replica.watch(heard, [kind.name for kind in kinds])
+
+    def status(self) -> dict[str, Any]:
+        """What it holds, for the status document."""
+        return self.replica.status()
+
+
+def kind_named(name: str) -> Kind[Any]:
+    """A kind by its name; raises `StoreError`."""
+    if name not in KINDS:
+        msg = f"the store holds no {name!r:.40}; what it holds: {', '.join(KINDS)}"
+        raise StoreError(msg)
+    return KINDS[name]

@@ -1,0 +1,143 @@
+"""The store's file: an SQLite database with one row for each key, deleted ones among them.
+
+Every transaction is on the disk before it is told done: write-ahead log with ``synchronous = FULL``, which syncs the
+log at each commit (https://www.sqlite.org/pragma.html#pragma_synchronous). So neither a killed process nor a power cut
+takes back what was acknowledged, and a transaction is there wholly or not at all. The file is locked as long as it is
+open: a second process has a replica, and a file, of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from bridge.stores.entry import Entry, Stamp, Version
+from bridge.stores.errors import StoreError
+
+_FORM = 1
+_BUSY_SECONDS = 1.0
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS about (word TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS entries (
+    kind TEXT NOT NULL, name TEXT NOT NULL, ns INTEGER NOT NULL, replica TEXT NOT NULL, origin TEXT NOT NULL,
+    seen TEXT NOT NULL, encoding TEXT NOT NULL, body BLOB, PRIMARY KEY (kind, name)
+);
+"""
+
+
+class Table:
+    """The rows. The caller sees to it that one thread at a time uses it.
+
+    Args:
+        file: the database; made where it is not there, with its folder.
+
+    Raises:
+        StoreError: it cannot be opened, is no database or another process has it.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._base = sqlite3.connect(file, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
+        except (OSError, sqlite3.Error) as err:
+            msg = f"the store {file} cannot be opened: {err}"
+            raise StoreError(msg) from None
+        try:
+            self._prepare()
+        except sqlite3.DatabaseError as err:
+            self._base.close()
+            raise StoreError(self._trouble(err)) from None
+        except BaseException:
+            self._base.close()
+            raise
+
+    @property
+    def replica(self) -> str:
+        """This copy's id: 16 bytes in hexadecimal, the same for the file's whole life."""
+        return str(self._base.execute("SELECT value FROM about WHERE word = 'replica'").fetchone()[0])
+
+    def versions(self) -> Iterator[tuple[tuple[str, str], Version, int | None]]:
+        """All keys with their version and the size of their value, None where it is deleted."""
+        rows = self._base.execute("SELECT kind, name, ns, replica, origin, seen, length(body) FROM entries")
+        for kind, name, ns, replica, origin, seen, size in rows:
+            yield (kind, name), Version(Stamp(ns, replica), origin, json.loads(seen)), size
+
+    def body(self, kind: str, name: str) -> tuple[bytes | None, str]:
+        """A key's value and its encoding."""
+        with self._told():
+            row = self._base.execute(
+                "SELECT body, encoding FROM entries WHERE kind = ? AND name = ?", (kind, name)
+            ).fetchone()
+        return (None, "") if row is None else (row[0], row[1])
+
+    def write(self, entries: Sequence[Entry], gone: Iterable[tuple[str, str]] = ()) -> None:
+        """Write entries and forget deleted keys for good, in one transaction that is durable when this returns."""
+        with self._told():
+            self._base.execute("BEGIN IMMEDIATE")
+            try:
+                self._base.executemany(
+                    "INSERT OR REPLACE INTO entries VALUES (?, ?, ?, ?, ?, ?, ?, ?)", map(_row, entries)
+                )
+                self._base.executemany("DELETE FROM entries WHERE kind = ? AND name = ?", gone)
+                self._base.execute("COMMIT")
+            except BaseException:
+                if self._base.in_transaction:
+                    self._base.execute("ROLLBACK")
+                raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._base.close()
+
+    def _prepare(self) -> None:
+        base = self._base
+        base.execute("PRAGMA locking_mode = EXCLUSIVE")
+        base.execute("PRAGMA journal_mode = WAL")
+        base.execute("PRAGMA synchronous = FULL")
+        base.execute("PRAGMA journal_size_limit = 4194304")
+        form = base.execute("PRAGMA user_version").fetchone()[0]
+        if form > _FORM:
+            msg = f"the store {self._file} was written by a newer Midspan (form {form}, this one knows {_FORM})"
+            raise StoreError(msg)
+        base.execute("BEGIN IMMEDIATE")
+        for statement in _SCHEMA.split(";"):
+            base.execute(statement)
+        base.execute("INSERT OR IGNORE INTO about VALUES ('replica', ?)", (_new_replica(),))
+        base.execute(f"PRAGMA user_version = {_FORM}")
+        base.execute("COMMIT")
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as err:
+            raise StoreError(self._trouble(err)) from None
+
+    def _trouble(self, err: sqlite3.Error) -> str:
+        if "locked" in str(err):
+            return f"the store {self._file} is in use by another process"
+        if isinstance(err, sqlite3.OperationalError):
+            return f"the store {self._file}: {err}"
+        return (
+            f"the store {self._file} cannot be read: {err}; move it out of the way, and this machine begins with what"
+            " the others keep"
+        )
+
+
+def _row(entry: Entry) -> tuple[object, ...]:
+    version = entry.version
+    seen = json.dumps(dict(version.seen), separators=(",", ":"))
+    stamp = version.stamp
+    return entry.kind, entry.name, stamp.ns, stamp.replica, version.origin, seen, entry.encoding, entry.body
+
+
+def _new_replica() -> str:
+    while True:
+        name = os.urandom(16)
+        if name[0] and name[-1]:  # zenoh strips zeros off the ends of an id
+            return name.hex()

@@ -1,0 +1,34 @@
+"""Stores in folders of the tests' own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.stores.replica import Limits, Replica
+from bridge.stores.store import Store
+
+Make = Callable[..., Store]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Make]:
+    """Opens the store of a name; all are closed at the end."""
+    opened: list[Store] = []
+
+    def open_store(name: str = "one", limits: Limits | None = None) -> Store:
+        store = Store(Replica(tmp_path / f"{name}.sqlite", name, limits))
+        opened.append(store)
+        return store
+
+    yield open_store
+    for store in opened:
+        store.replica.close()
+
+
+@pytest.fixture
+def store(make: Make) -> Store:
+    """One store."""
+    return make()

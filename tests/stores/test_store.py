@@ -1,0 +1,280 @@
+"""One store by itself: values of every kind, names, limits, changes that are heard."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import (
+    AREA,
+    BEHAVIOUR,
+    CURRENT,
+    KINDS,
+    LINK,
+    LOCATION,
+    MAP,
+    OBJECT,
+    PATH,
+    Kind,
+)
+from bridge.stores.replica import Change, Limits, Replica
+from bridge.stores.store import Store, Write
+from tests.stores.conftest import Make
+from tests.support.wait import until
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.maplink import MapLink
+from yarp_compat.sig.vec2d import Vec2D
+
+KITCHEN = Map2DLocation("m1", 1.0, 2.5, 90.0, 'the "kitchen", große')
+CORNERS = [Vec2D(0.0, 0.0), Vec2D(1.0, 0.0), Vec2D(1.0, 2.0)]
+
+
+def grid(name: str = "m1", seed: int = 1, shape: tuple[int, int] = (30, 20)) -> MapGrid2D:
+    """A map of random cells."""
+    random = np.random.default_rng(seed)
+    occupancy = random.choice(np.array([*range(101), 255], np.uint8), shape)
+    flags = random.integers(0, 6, shape, dtype=np.uint8)
+    return MapGrid2D.of(flags, occupancy, name=name, resolution=0.05, origin=(-1.5, 2.0, 30.0))
+
+
+VALUES: list[tuple[Kind[Any], Any]] = [
+    (MAP, grid()),
+    (LOCATION, KITCHEN),
+    (AREA, Map2DArea("m1", CORNERS, "hall")),
+    (BEHAVIOUR, AreaBehaviour(max_speed=0.2, on_obstacle="wait")),
+    (BEHAVIOUR, AreaBehaviour(keep_out=True)),
+    (PATH, Map2DPath([KITCHEN, Map2DLocation("m1", 3.0, 4.0, -45.0)], "round")),
+    (OBJECT, Map2DObject("m1", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, "cup")),
+    (LINK, MapLink("lift_0", "lift_1", 12.0)),
+    (CURRENT, "m1"),
+]
+
+
+@pytest.mark.parametrize(("kind", "value"), VALUES, ids=lambda each: getattr(each, "name", type(each).__name__))
+def test_every_kind_comes_back(make: Make, kind: Kind[Any], value: Any) -> None:
+    store = make()
+    store.put(kind, "m1", value)
+    assert store.get(kind, "m1") == value
+    store.replica.close()
+    assert make().all(kind) == {"m1": value}
+
+
+def test_the_kinds_are_all_tested() -> None:
+    assert {kind.name for kind, _ in VALUES} == KINDS.keys()
+
+
+def test_names_are_listed_by_kind(store: Store) -> None:
+    for name in ("b", "a", "c d"):
+        store.put(LOCATION, name, KITCHEN)
+    store.put(AREA, "z", Map2DArea("m1", CORNERS))
+    assert store.names(LOCATION) == ["a", "b", "c d"]
+    assert store.delete(LOCATION, "b")
+    assert not store.delete(LOCATION, "b")
+    assert not store.delete(LOCATION, "never")
+    assert store.names(LOCATION) == ["a", "c d"]
+    assert store.get(LOCATION, "b") is None
+    assert store.clear(LOCATION) == 2
+    assert store.names(LOCATION) == []
+    assert store.names(AREA) == ["z"]
+    assert store.replica.status()["deleted"] == 3
+
+
+def test_renaming_fails_whole(store: Store) -> None:
+    area = Map2DArea("m1", CORNERS)
+    behaviour = AreaBehaviour(max_speed=0.5)
+    store.write([Write(AREA, "a", area), Write(BEHAVIOUR, "a", behaviour), Write(AREA, "b", area)])
+    with pytest.raises(StoreError, match="area 'b' is there already"):
+        store.rename(AREA, "a", "b")
+    with pytest.raises(StoreError, match="there is no area 'c'"):
+        store.rename(AREA, "c", "d")
+    with pytest.raises(StoreError, match="name"):
+        store.rename(AREA, "a", "a/b")
+    assert store.names(AREA) == ["a", "b"]
+    store.rename(AREA, "a", "c")
+    assert store.names(AREA) == ["b", "c"]
+    assert store.all(BEHAVIOUR) == {"c": behaviour}
+    store.delete(AREA, "c")
+    assert store.all(BEHAVIOUR) == {}
+
+
+def test_an_areas_behaviour_is_kept_beside_it_or_told_by_its_description(store: Store) -> None:
+    store.put(AREA, "a", Map2DArea("m1", CORNERS, "ramp, max_speed=0.2 on_obstacle=wait"))
+    assert store.behaviour("a") == AreaBehaviour(max_speed=0.2, on_obstacle="wait")
+    store.put(BEHAVIOUR, "a", AreaBehaviour(keep_out=True))
+    assert store.behaviour("a") == AreaBehaviour(keep_out=True)
+    store.put(AREA, "a", Map2DArea("m1", CORNERS, "stored again by a YARP client"))
+    assert store.behaviour("a") == AreaBehaviour(keep_out=True)
+    assert store.behaviour("nowhere") == AreaBehaviour()
+
+
+def test_the_current_map_is_one_that_is_there(store: Store) -> None:
+    assert store.current_map() == ""
+    with pytest.raises(StoreError, match="there is no map 'm1'; those that are: none"):
+        store.use_map("m1")
+    store.put(MAP, "m1", grid())
+    store.use_map("m1")
+    assert store.current_map() == "m1"
+
+
+def test_a_map_has_the_name_that_it_is_stored_under(store: Store) -> None:
+    store.put(MAP, "other", grid("m1"))
+    found = store.get(MAP, "other")
+    assert found is not None
+    assert found.name == "other"
+    assert np.array_equal(found.flags, grid().flags)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", "a/b", "../a", "..", ".", ".hidden", "a\\b", "a*", "a$", "a?b", "a#b", "a%2Fb", "@a", "a\nb", "a\0", " a",
+     "a" * 255, "ü" * 128, "\ud800"],
+)  # fmt: skip
+def test_a_name_that_cannot_be_is_refused(store: Store, name: str) -> None:
+    with pytest.raises(StoreError, match="name"):
+        store.put(LOCATION, name, KITCHEN)
+    assert store.names(LOCATION) == []
+
+
+def test_many_names_can_be(store: Store) -> None:
+    for name in ("a", "the kitchen", "küche", "1st-floor_(b)", "a" * 254, "台所", "a.b"):
+        store.put(LOCATION, name, KITCHEN)
+    assert len(store.names(LOCATION)) == 7
+
+
+def test_one_bad_write_of_several_leaves_all_undone(store: Store) -> None:
+    with pytest.raises(StoreError, match="JSON cannot carry"):
+        store.write([Write(LOCATION, "a", KITCHEN), Write(LOCATION, "b", Map2DLocation("m1", float("nan")))])
+    with pytest.raises(StoreError, match="a cell of 6"):
+        store.put(MAP, "m", MapGrid2D.of(np.full((2, 2), 6, np.uint8)))
+    assert store.replica.versions() == {}
+
+
+HEAD = {"midspan": "map", "version": 1, "width": 30, "height": 20, "resolution": 0.05, "origin": [0, 0, 0]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        (LOCATION, b"[1]"),
+        (LOCATION, b"{"),
+        (LOCATION, b"[" * 100_000),
+        (LOCATION, b'{"map": 1}'),
+        (LOCATION, b'{"x": "1"}'),
+        (LOCATION, b'{"x": true}'),
+        (LOCATION, b'{"x": NaN}'),
+        (LOCATION, b'{"x": 1e999}'),
+        (LOCATION, b'{"x": ' + b"9" * 400 + b"}"),
+        (LOCATION, b'{"description": "' + b"a" * (1 << 20) + b'"}'),
+        (AREA, b'{"points": [[1]]}'),
+        (AREA, b'{"points": {}}'),
+        (AREA, b'{"points": [' + b"[0,0]," * 10_000 + b"[0,0]]}"),
+        (PATH, b'{"waypoints": [1]}'),
+        (BEHAVIOUR, b'{"max_speed": 0}'),
+        (BEHAVIOUR, b'{"keep_out": "yes"}'),
+        (BEHAVIOUR, b'{"on_obstacle": "jump"}'),
+        (LINK, b'{"from": "a", "to": "a"}'),
+        (LINK, b'{"from": "a", "to": "b", "cost": -1}'),
+        (CURRENT, b'{"map": null}'),
+        (MAP, b"P5 1000000000 1 255\n"),
+        (MAP, b"\n"),
+        (MAP, b"a" * 10_000),
+        (MAP, json.dumps({**HEAD, "width": 10**9, "occupancy": 0, "flags": 0}).encode() + b"\n"),
+        (MAP, json.dumps({**HEAD, "width": 0, "occupancy": 0, "flags": 0}).encode() + b"\n"),
+        (MAP, json.dumps({**HEAD, "width": -1, "height": -1, "occupancy": 0, "flags": 0}).encode() + b"\n"),
+        (MAP, json.dumps({**HEAD, "occupancy": 10**9, "flags": 0}).encode() + b"\n"),
+        (MAP, json.dumps({**HEAD, "occupancy": 1, "flags": 1}).encode() + b"\nxx"),
+        (MAP, json.dumps({**HEAD, "version": 2}).encode() + b"\n"),
+    ],
+)
+def test_a_body_that_is_none_is_refused(kind: Kind[Any], body: bytes) -> None:
+    with pytest.raises(StoreError, match=f"{kind.name} 'a'"):
+        kind.decode("a", body)
+
+
+def test_a_map_that_unpacks_to_more_cells_than_it_has_is_refused() -> None:
+    small, large = MAP.encode("a", grid(shape=(2, 2)))[0], MAP.encode("a", MapGrid2D.of(np.zeros((4000, 4000))))[0]
+    head = json.loads(large.partition(b"\n")[0])
+    head.update(width=2, height=2)
+    assert MAP.decode("a", small).width() == 2
+    with pytest.raises(StoreError, match="has not the 4 cells"):
+        MAP.decode("a", json.dumps(head).encode() + b"\n" + large.partition(b"\n")[2])
+
+
+def test_changes_are_heard_in_order(store: Store) -> None:
+    heard: list[Change] = []
+    areas: list[Change] = []
+    close = store.watch(heard.append)
+    store.watch(areas.append, AREA)
+    store.put(LOCATION, "a", KITCHEN)
+    store.put(AREA, "z", Map2DArea("m1", CORNERS))
+    store.delete(LOCATION, "a")
+    until(lambda: len(heard) == 3, "all changes are heard")
+    assert heard == [
+        Change("location", "a", deleted=False, origin="one", here=True),
+        Change("area", "z", deleted=False, origin="one", here=True),
+        Change("location", "a", deleted=True, origin="one", here=True),
+    ]
+    assert areas == heard[1:2]
+    close()
+    store.put(AREA, "y", Map2DArea("m1", CORNERS))
+    until(lambda: len(areas) == 2, "the other still hears")
+    assert len(heard) == 3
+
+
+def test_a_full_store_takes_no_more_and_goes_on(make: Make) -> None:
+    store = make(limits=Limits(keys=2, size=10_000))
+    store.put(LOCATION, "a", KITCHEN)
+    store.put(LOCATION, "b", KITCHEN)
+    with pytest.raises(StoreError, match="may have 2"):
+        store.put(LOCATION, "c", KITCHEN)
+    store.put(LOCATION, "b", Map2DLocation("m2"))
+    store.delete(LOCATION, "a")
+    with pytest.raises(StoreError, match=r"store\.megabytes"):
+        store.put(MAP, "c", grid(shape=(100, 200)))
+    store.put(LOCATION, "c", KITCHEN)
+    assert store.names(LOCATION) == ["b", "c"]
+
+
+def test_deleted_keys_are_remembered_up_to_a_number(make: Make) -> None:
+    store = make(limits=Limits(deleted=3))
+    for number in range(6):
+        store.put(LOCATION, str(number), KITCHEN)
+        store.delete(LOCATION, str(number))
+    assert sorted(name for _, name in store.replica.versions()) == ["3", "4", "5"]
+    store.replica.close()
+    assert sorted(name for _, name in make().replica.versions()) == ["3", "4", "5"]
+
+
+def test_a_second_process_cannot_have_the_file(make: Make, tmp_path: Path) -> None:
+    make()
+    with pytest.raises(StoreError, match="in use by another process"):
+        Replica(tmp_path / "one.sqlite", "two")
+
+
+def test_a_file_that_is_no_store_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "s.sqlite"
+    file.write_bytes(b"a" * 5000)
+    with pytest.raises(StoreError, match="move it out of the way"):
+        Replica(file, "one")
+    file.unlink()
+    with sqlite3.connect(file) as base:
+        base.execute("PRAGMA user_version = 9")
+    base.close()
+    with pytest.raises(StoreError, match="newer Midspan"):
+        Replica(file, "one")
+
+
+def test_a_closed_store_says_so(store: Store) -> None:
+    store.replica.close()
+    with pytest.raises(StoreError, match="closed"):
+        store.get(LOCATION, "a")
+    with pytest.raises(StoreError, match="closed"):
+        store.put(LOCATION, "a", KITCHEN)
