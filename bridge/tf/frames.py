@@ -57,6 +57,8 @@ class Frames:
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
+        self.known: dict[str, Frame] = {}
+        """Those that have transforms, or had and were cleared."""
         self._frames: list[Frame] = [Frame("", 0)]
 
     @property

@@ -24,7 +24,7 @@ from bridge.tf.layout import (
     TIMED,
 )
 
-_insert = kernels.insert
+_insert, _insert_at = kernels.insert, kernels.insert_at
 
 SMALLEST = 64
 GROWTH = 4
@@ -76,10 +76,17 @@ class History:
         x, y, z, qx, qy, qz, qw = pose
         answer: int = _insert(table, keys, poses, frame, parent, stamp, self.span, 0, x, y, z, qx, qy, qz, qw)
         if answer == FULL:
-            force = int(self._table[frame, CAPACITY] >= LARGEST)
-            if not force:
-                self._grow(frame)
+            force = self._make_way(frame)
             answer = _insert(*self._at, frame, parent, stamp, self.span, force, *pose)
+        return answer
+
+    def insert_at(self, frame: int, parent: int, stamp: int, address: int) -> int:
+        """`insert` of a pose of 7 float64 at an address."""
+        table, keys, poses = self._at
+        answer: int = _insert_at(table, keys, poses, frame, parent, stamp, self.span, 0, address)
+        if answer == FULL:
+            force = self._make_way(frame)
+            answer = _insert_at(*self._at, frame, parent, stamp, self.span, force, address)
         return answer
 
     def lookup(self, target: int, source: int, stamp: int, horizon: int) -> int:
@@ -155,10 +162,14 @@ class History:
     def _places(self, row: NDArray[np.int64]) -> Any:
         return row[START] + ((row[FIRST] + np.arange(row[COUNT])) & (row[CAPACITY] - 1))
 
-    def _grow(self, frame: int) -> None:
+    def _make_way(self, frame: int) -> int:
+        """Let a full ring grow; 1 where it may not, and its oldest sample is to go."""
+        if self._table[frame, CAPACITY] >= LARGEST:
+            return 1
         capacity = GROWTH * int(self._table[frame, CAPACITY])
         start = self._allocate(capacity)
         kernels.move_ring(*self._at, frame, start, capacity)
+        return 0
 
     def _allocate(self, count: int) -> int:
         """Room behind what is used. What a ring leaves that grows is not used again; it is less than what it gets."""

@@ -6,7 +6,6 @@ the room that is written to: `bridge.tf.history` does, and its caller's lock kee
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 
 import numba
 
-from bridge.messages.cache import cache_folder
+from bridge.messages.cache import compiled, entry_point
 from bridge.tf.layout import (
     CAPACITY,
     COUNT,
@@ -37,10 +36,9 @@ from bridge.tf.memory import floats, words
 from bridge.tf.rotation import Quaternion, Vector, jit, normalized, of_matrix, product, rotate
 from bridge.tf.walk import place, row_of, walk
 
-_log = logging.getLogger(__name__)
-_njit: Any = numba.njit
 _WORD, _FLOAT = numba.int64, numba.float64
-_SOURCES = ("kernels.py", "layout.py", "memory.py", "rotation.py", "walk.py")
+_NAMES = ("kernels.py", "layout.py", "memory.py", "rotation.py", "walk.py")
+_SOURCES = [Path(__file__).with_name(name) for name in _NAMES]
 
 
 @jit
@@ -74,7 +72,8 @@ def _pose_flaw(x: float, y: float, z: float, qx: float, qy: float, qz: float, qw
     return _flaw(x, y, z, qx, qy, qz, qw)
 
 
-def _insert(
+@jit
+def _put(
     table: int,
     keys: int,
     poses: int,
@@ -156,6 +155,35 @@ def _insert(
     return DONE
 
 
+def _insert(
+    table: int,
+    keys: int,
+    poses: int,
+    frame: int,
+    parent: int,
+    stamp: int,
+    history: int,
+    force: int,
+    x: float,
+    y: float,
+    z: float,
+    qx: float,
+    qy: float,
+    qz: float,
+    qw: float,
+) -> int:
+    """`_put`."""
+    return _put(table, keys, poses, frame, parent, stamp, history, force, x, y, z, qx, qy, qz, qw)
+
+
+def _insert_at(
+    table: int, keys: int, poses: int, frame: int, parent: int, stamp: int, history: int, force: int, pose: int
+) -> int:
+    """`_put` of the pose at an address."""
+    p = floats(pose)
+    return _put(table, keys, poses, frame, parent, stamp, history, force, p[0], p[1], p[2], p[3], p[4], p[5], p[6])
+
+
 def _move_ring(table: int, keys: int, poses: int, frame: int, start: int, capacity: int) -> None:
     """Give a frame's samples another place."""
     row = row_of(table, frame)
@@ -208,28 +236,12 @@ def _compose(first: int, then: int, count: int) -> None:
         _write(at, (v[0] + b[0], v[1] + b[1], v[2] + b[2]), of_matrix(turned))
 
 
-def _compile(function: Callable[..., Any], signature: Any, *, nogil: bool = False) -> Callable[..., Any]:
-    """Compile, or load from the cache; its folder is set for this function alone.
-
-    Returns:
-        The compiled function without numba's look at the types of its arguments.
-    """
-    config: Any = numba.config
-    before = config.CACHE_DIR
-    folder = cache_folder([Path(__file__).with_name(name) for name in _SOURCES])
-    try:
-        config.CACHE_DIR = "" if folder is None else str(folder)
-        compiled = _njit(signature, cache=folder is not None, nogil=nogil)(function)
-    except OSError as err:
-        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
-        compiled = _njit(signature, nogil=nogil)(function)
-    finally:
-        config.CACHE_DIR = before
-    entry: Callable[..., Any] = compiled.overloads[signature.args].entry_point
-    return entry
+def _compile(function: Callable[..., Any], signature: Any, **options: Any) -> Callable[..., Any]:
+    return entry_point(compiled(function, signature, _SOURCES, **options), signature)
 
 
 pose_flaw = _compile(_pose_flaw, _WORD(*[_FLOAT] * POSE))
+insert_at = _compile(_insert_at, _WORD(*[_WORD] * 9))
 insert = _compile(_insert, _WORD(*[_WORD] * 8, *[_FLOAT] * POSE))
 move_ring = _compile(_move_ring, numba.void(*[_WORD] * 6))
 lookup = _compile(_lookup, _WORD(*[_WORD] * 9))

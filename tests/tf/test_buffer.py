@@ -108,7 +108,7 @@ def test_stamps_are_held_against_the_clock() -> None:
 
 
 def test_a_refusal_is_logged_once_of_its_kind(buffer: TransformBuffer, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, "bridge.tf.buffer"):
+    with caplog.at_level(logging.WARNING, "bridge.tf.intake"):
         for _ in range(5):
             buffer.set_transform("a", "b", START, (math.nan, 0, 0), UNIT, "me")
         buffer.set_transform("a", "a", START, (0, 0, 0), UNIT, "me")

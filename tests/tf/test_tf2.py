@@ -59,7 +59,7 @@ def same_text(ours: str, theirs: str) -> bool:
 @pytest.mark.real
 def test_answers_and_errors_are_tf2s(monkeypatch: pytest.MonkeyPatch) -> None:
     seed = int.from_bytes(os.urandom(4), "big")
-    monkeypatch.setattr(logging.getLogger("bridge.tf.buffer"), "disabled", True)  # each buffer says its first refusal
+    monkeypatch.setattr(logging.getLogger("bridge.tf.intake"), "disabled", True)  # each buffer says its first refusal
     refused = Counter[str]()
     ours, asked = [], []
     with tempfile.TemporaryFile() as log:
