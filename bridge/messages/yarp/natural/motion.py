@@ -10,7 +10,8 @@ import numpy as np
 
 from bridge.messages.errors import ConversionError
 from bridge.messages.yarp.natural.kind import Kind, Message, Missing, header, heading, turned
-from bridge.messages.yarp.natural.numbers import read_numbers, write_numbers
+from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
+from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.writer import Writer
 
@@ -23,23 +24,21 @@ class _Odometry:
         theta, turn = heading(pose["orientation"]), math.degrees(twist["angular"]["z"])
         ahead, left = twist["linear"]["x"], twist["linear"]["y"]
         cosine, sine = math.cos(math.radians(theta)), math.sin(math.radians(theta))
-        out.begin(9)
-        for number in (
+        OdometryData(
             pose["position"]["x"], pose["position"]["y"], theta,
             ahead, left, turn,
             ahead * cosine - left * sine, ahead * sine + left * cosine, turn,
-        ):  # fmt: skip
-            out.float64(number)
+        )._write(out)  # fmt: skip
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
-        source.begin()
-        x, y, theta, ahead, left, turn, *_ = (source.float64() for _ in range(9))
-        source.end()
+        found = OdometryData()
+        found._read(source)
+        position = {"x": found.odom_x, "y": found.odom_y}
         return {
             "header": header(stamp_ns, missing.frame or "odom"),
             "child_frame_id": missing.child_frame or "base_link",
-            "pose": {"pose": {"position": {"x": x, "y": y}, "orientation": turned(theta)}},
-            "twist": {"twist": _twist(ahead, left, turn)},
+            "pose": {"pose": {"position": position, "orientation": turned(found.odom_theta)}},
+            "twist": {"twist": _twist(found.base_vel_x, found.base_vel_y, found.base_vel_theta)},
         }
 
 
@@ -48,16 +47,13 @@ class _Velocity:
 
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         twist = message.get("twist", message)
-        out.begin(3)
-        out.float64(twist["linear"]["x"])
-        out.float64(twist["linear"]["y"])
-        out.float64(math.degrees(twist["angular"]["z"]))
+        turn = math.degrees(twist["angular"]["z"])
+        MobileBaseVelocity(twist["linear"]["x"], twist["linear"]["y"], turn)._write(out)
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
-        source.begin()
-        ahead, left, turn = (source.float64() for _ in range(3))
-        source.end()
-        return _twist(ahead, left, turn)
+        found = MobileBaseVelocity()
+        found._read(source)
+        return _twist(found.vel_x, found.vel_y, found.vel_theta)
 
 
 class _StampedVelocity(_Velocity):
@@ -72,11 +68,13 @@ class _Joints:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             degrees = np.degrees(message["position"])
-        write_numbers(out, degrees)
+        Vector.of(degrees)._write(out)
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
+        found = Vector()
+        found._read(source)
         with np.errstate(invalid="ignore"):
-            positions = np.radians(read_numbers(source))
+            positions = np.radians(found.numpy())
         names = missing.joints or tuple(f"joint_{number}" for number in range(len(positions)))
         if len(names) != len(positions):
             raise ConversionError(f"there are {len(positions)} joints, and the rule names {len(names)}")

@@ -10,69 +10,60 @@ from typing import Any
 
 from bridge.messages.yarp.natural.grid import Grid
 from bridge.messages.yarp.natural.kind import Kind, Message, Missing, header, heading, turned
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.writer import Writer
 
 
-def write_location(out: Writer, frame: str, pose: Mapping[str, Any]) -> None:
-    """``yarp::dev::Nav2D::Map2DLocation``."""
-    out.begin(5)
-    out.string(frame)
-    out.float64(pose["position"]["x"])
-    out.float64(pose["position"]["y"])
-    out.float64(heading(pose["orientation"]))
-    out.string("")
+def _location(frame: str, pose: Mapping[str, Any]) -> Map2DLocation:
+    return Map2DLocation(frame, pose["position"]["x"], pose["position"]["y"], heading(pose["orientation"]))
 
 
-def read_location(source: Reader) -> tuple[str, Message]:
-    """The map's name, and a pose on it."""
-    source.begin()
-    frame, x, y, theta = source.string(), source.float64(), source.float64(), source.float64()
-    if source.left:  # YARP before 3.6 had no description
-        source.string()
-    source.end()
-    return frame, {"position": {"x": x, "y": y}, "orientation": turned(theta)}
+def _pose(location: Map2DLocation) -> Message:
+    return {"position": {"x": location.x, "y": location.y}, "orientation": turned(location.theta)}
+
+
+def _read_location(source: Reader) -> Map2DLocation:
+    found = Map2DLocation()
+    found._read(source)
+    return found
 
 
 class _Pose:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
-        write_location(out, message["header"]["frame_id"], message["pose"])
+        _location(message["header"]["frame_id"], message["pose"])._write(out)
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
-        frame, pose = read_location(source)
-        return {"header": header(stamp_ns, missing.frame or frame), "pose": pose}
+        found = _read_location(source)
+        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": _pose(found)}
 
 
 class _UncertainPose:
     """The covariance is not said."""
 
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
-        write_location(out, message["header"]["frame_id"], message["pose"]["pose"])
+        _location(message["header"]["frame_id"], message["pose"]["pose"])._write(out)
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
-        frame, pose = read_location(source)
-        return {"header": header(stamp_ns, missing.frame or frame), "pose": {"pose": pose}}
+        found = _read_location(source)
+        return {"header": header(stamp_ns, missing.frame or found.map_id), "pose": {"pose": _pose(found)}}
 
 
 class _Path:
     """``Map2DPath``: a list of locations, and a description."""
 
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
-        out.begin(2)
-        out.begin(len(message["poses"]))
-        for pose in message["poses"]:
-            write_location(out, pose["header"]["frame_id"] or message["header"]["frame_id"], pose["pose"])
-        out.string("")
+        frame = message["header"]["frame_id"]
+        Map2DPath([_location(pose["header"]["frame_id"] or frame, pose["pose"]) for pose in message["poses"]])._write(
+            out
+        )
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
-        source.begin()
-        found = [read_location(source) for _ in range(source.begin())]
-        source.end()
-        if source.left:
-            source.string()
-        source.end()
-        frame = missing.frame or (found[0][0] if found else "")
-        poses = [{"header": header(stamp_ns, missing.frame or name), "pose": pose} for name, pose in found]
+        path = Map2DPath()
+        path._read(source)
+        found = path.waypoints
+        frame = missing.frame or (found[0].map_id if found else "")
+        poses = [{"header": header(stamp_ns, missing.frame or one.map_id), "pose": _pose(one)} for one in found]
         return {"header": header(stamp_ns, frame), "poses": poses}
 
 

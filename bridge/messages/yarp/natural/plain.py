@@ -8,7 +8,7 @@ from typing import Any
 from bridge.messages.errors import ConversionError
 from bridge.messages.values import DTYPES, wrong
 from bridge.messages.yarp.natural.kind import Kind, Message, Missing
-from bridge.messages.yarp.natural.numbers import read_numbers, write_numbers
+from yarp_compat.sig.numbers import read_numbers, write_numbers
 from yarp_compat.wire.binary import decode_prefix, encode
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.text import to_text
@@ -74,12 +74,7 @@ class _Array:
         write_numbers(out, message["data"])
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
-        numbers = read_numbers(source)
-        if self._base.startswith("float"):
-            return {"data": numbers}
-        if numbers.dtype.itemsize == DTYPES[self._base].itemsize and numbers.dtype.kind == "i":
-            return {"data": numbers.view(DTYPES[self._base])}
-        return {"data": numbers.tolist()}
+        return {"data": read_numbers(source, DTYPES[self._base])}
 
 
 class _Coordinates:
@@ -92,7 +87,7 @@ class _Coordinates:
         out.block(encode([float(message[name]) for name in self._names], out.profile))
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:  # noqa: ARG002
-        numbers = read_numbers(source).tolist()
+        numbers = read_numbers(source, DTYPES["float64"]).tolist()
         if len(numbers) != len(self._names):
             raise ConversionError(f"there are {len(numbers)} numbers, not {len(self._names)} ({' '.join(self._names)})")
         return {name: float(number) for name, number in zip(self._names, numbers, strict=True)}

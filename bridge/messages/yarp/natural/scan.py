@@ -11,10 +11,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from bridge.messages.yarp.natural.kind import Kind, Message, Missing, header
-from bridge.messages.yarp.natural.numbers import read_numbers, write_numbers
+from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.sig.vector import Vector
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.writer import Writer
 
@@ -24,28 +23,21 @@ _IN_USE = 1
 
 class _Scan:
     def to_yarp(self, message: Mapping[str, Any], out: Writer) -> None:
-        out.begin(6)
-        out.float64(math.degrees(message["angle_min"]))
-        out.float64(math.degrees(message["angle_max"]))
-        out.float64(message["range_min"])
-        out.float64(message["range_max"])
-        write_numbers(out, message["ranges"].astype(np.float64))
-        out.integer(_IN_USE)
+        low, high = math.degrees(message["angle_min"]), math.degrees(message["angle_max"])
+        ranges = Vector.of(message["ranges"])
+        LaserScan2D(low, high, message["range_min"], message["range_max"], ranges, _IN_USE)._write(out)
 
     def to_ros(self, source: Reader, stamp_ns: int, missing: Missing) -> Message:
-        source.begin()
-        low, high = math.radians(source.float64()), math.radians(source.float64())
-        nearest, farthest = source.float64(), source.float64()
-        ranges = read_numbers(source)
-        source.integer()
-        source.end()
+        scan = LaserScan2D()
+        scan._read(source)
+        low, high, ranges = math.radians(scan.angle_min), math.radians(scan.angle_max), scan.scans.numpy()
         return {
             "header": header(stamp_ns, missing.frame or "laser"),
             "angle_min": low,
             "angle_max": high,
             "angle_increment": (high - low) / len(ranges) if len(ranges) else 0.0,
-            "range_min": nearest,
-            "range_max": farthest,
+            "range_min": scan.range_min,
+            "range_max": scan.range_max,
             "ranges": ranges,
         }
 
