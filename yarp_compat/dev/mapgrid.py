@@ -9,37 +9,25 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterable
-from enum import IntEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from yarp_compat.dev.mapcolours import flags_of_picture, picture_of_flags
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, occupancy_of, too_large
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin, Pair, numbers
+from yarp_compat.dev.mapobstacles import enlarge
+from yarp_compat.sig.image import ImageMono, ImageRgb
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import INT8
 from yarp_compat.wire.writer import Writer
 
-MAX_CELLS = 1 << 26
-"""A map of more cells (8,192 squared) is refused, wherever it comes from."""
-
-UNKNOWN = 255
-"""The occupancy of cells of which nothing is known."""
+__all__ = ["MAX_CELLS", "UNKNOWN", "MapFlag", "MapGrid2D", "flags_of", "occupancy_of", "too_large"]
 
 _LONGEST_NAME = 254  # YARP's reader has a buffer of so many bytes
-
-
-class MapFlag(IntEnum):
-    """What a cell is, to those who plan ways."""
-
-    FREE = 0
-    KEEP_OUT = 1
-    TEMPORARY_OBSTACLE = 2
-    ENLARGED_OBSTACLE = 3
-    WALL = 4
-    UNKNOWN = 5
 
 
 class MapGrid2D(MapGrid2DInfo, Portable):
@@ -229,6 +217,67 @@ class MapGrid2D(MapGrid2DInfo, Portable):
         temporary = (self._flags == MapFlag.TEMPORARY_OBSTACLE) | (self._flags == MapFlag.ENLARGED_OBSTACLE)
         self._flags[temporary] = MapFlag.FREE
 
+    def enlargeObstacles(self, size: float) -> bool:
+        """Make free cells that are nearer than this to any that is not free enlarged obstacles; 0 undoes that.
+
+        Args:
+            size: metres; along rows and columns, and as far on the diagonals' sides, as YARP does.
+        """
+        if size > 0:
+            enlarge(self._flags, math.ceil(min(size / self.m_resolution, self.m_width + self.m_height)))
+        else:
+            self._flags[self._flags == MapFlag.ENLARGED_OBSTACLE] = MapFlag.FREE
+        return True
+
+    def crop(self, left: int = -1, top: int = -1, right: int = -1, bottom: int = -1) -> bool:
+        """Keep a part: columns from left on to before right, rows from top on to before bottom.
+
+        Where a number is below 0, that side goes to the outermost cell of which something is known. (YARP loses one
+        column at the right there.)
+
+        Returns:
+            False where that is no part of the map; then nothing changes.
+        """
+        if min(left, top, right, bottom) < 0:
+            known = self._occupancy != UNKNOWN
+            columns, rows = np.flatnonzero(known.any(axis=0)), np.flatnonzero(known.any(axis=1))
+            if not len(columns):
+                return False
+            left, right = int(columns[0]) if left < 0 else left, int(columns[-1]) + 1 if right < 0 else right
+            top, bottom = int(rows[0]) if top < 0 else top, int(rows[-1]) + 1 if bottom < 0 else bottom
+        if not (left < right <= self.m_width and top < bottom <= self.m_height):
+            return False
+        x, y, theta = self.getOrigin()
+        x, y = x + left * self.m_resolution, y + (self.m_height - bottom) * self.m_resolution
+        part = slice(top, bottom), slice(left, right)
+        self.set_cells(self._flags[part].copy(), self._occupancy[part].copy())
+        self.m_origin = MapGrid2DOrigin(x, y, theta)
+        return True
+
+    def getMapImage(self, image: ImageRgb) -> bool:
+        """Paint the flags in their colours."""
+        image.copy(ImageRgb.of(picture_of_flags(self._flags)))
+        return True
+
+    def setMapImage(self, image: ImageRgb) -> bool:
+        """Take the flags from their colours, any other as unknown; False where the image has another size."""
+        if (image.width(), image.height()) != self.getSize_in_cells():
+            return False
+        self._flags = flags_of_picture(image.numpy())
+        return True
+
+    def getOccupancyGrid(self, image: ImageMono) -> bool:
+        """Make the image's pixels the occupancy of the cells, 0 to 100 or 255."""
+        image.copy(ImageMono.of(self._occupancy.copy()))
+        return True
+
+    def setOccupancyGrid(self, image: ImageMono) -> bool:
+        """Take the image's pixels for the occupancy; False where the image has another size."""
+        if (image.width(), image.height()) != self.getSize_in_cells():
+            return False
+        self._occupancy = image.numpy().copy()
+        return True
+
     def enable_map_compression_over_network(self, enable: bool) -> bool:
         """Whether the cells are zipped on the wire."""
         self._compressed = bool(enable)
@@ -301,27 +350,6 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             raise WireError(str(error)) from None
         found._compressed = compressed
         self.__dict__.update(found.__dict__)
-
-
-def occupancy_of(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What YARP takes for the occupancy where it has flags only: 100 for walls, 255 for unknown, else 0."""
-    table = np.full(256, UNKNOWN, np.uint8)
-    table[: MapFlag.WALL] = 0
-    table[MapFlag.WALL] = 100
-    return table[flags]
-
-
-def flags_of(occupancy: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What YARP takes for the flags where it has an occupancy only: free below 50, wall up to 100, else unknown."""
-    table = np.full(256, MapFlag.UNKNOWN, np.uint8)
-    table[:50] = MapFlag.FREE
-    table[50:101] = MapFlag.WALL
-    return table[occupancy]
-
-
-def too_large(width: int, height: int) -> str:
-    """What is said of a map of more cells than are taken."""
-    return f"a map of {width} x {height} cells: up to {MAX_CELLS} are taken"
 
 
 def _cells(data: memoryview, count: int, *, compressed: bool) -> NDArray[np.uint8]:

@@ -1,0 +1,62 @@
+"""What the cells of a map say: a flag each, and how surely they are occupied."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_CELLS = 1 << 26
+"""A map of more cells (8,192 squared) is refused, wherever it comes from."""
+
+UNKNOWN = 255
+"""The occupancy of cells of which nothing is known."""
+
+
+class MapFlag(IntEnum):
+    """What a cell is, to those who plan ways."""
+
+    FREE = 0
+    KEEP_OUT = 1
+    TEMPORARY_OBSTACLE = 2
+    ENLARGED_OBSTACLE = 3
+    WALL = 4
+    UNKNOWN = 5
+
+
+def _occupancy_by_flag() -> NDArray[np.uint8]:
+    table = np.full(256, UNKNOWN, np.uint8)
+    table[: MapFlag.WALL] = 0
+    table[MapFlag.WALL] = 100
+    return table
+
+
+def _flag_by_occupancy() -> NDArray[np.uint8]:
+    table = np.full(256, MapFlag.UNKNOWN, np.uint8)
+    table[:50] = MapFlag.FREE
+    table[50:101] = MapFlag.WALL
+    return table
+
+
+_OCCUPANCY, _FLAG = _occupancy_by_flag(), _flag_by_occupancy()
+
+
+def looked_up(cells: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What a table of 256 numbers has for each cell; as ``table[cells]``, ten times as fast."""
+    return np.frombuffer(bytearray(cells).translate(table.tobytes()), np.uint8).reshape(cells.shape)
+
+
+def occupancy_of(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What YARP takes for the occupancy where it has flags only: 100 for walls, 255 for unknown, else 0."""
+    return looked_up(flags, _OCCUPANCY)
+
+
+def flags_of(occupancy: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """What YARP takes for the flags where it has an occupancy only: free below 50, wall up to 100, else unknown."""
+    return looked_up(occupancy, _FLAG)
+
+
+def too_large(width: int, height: int) -> str:
+    """What is said of a map of more cells than are taken."""
+    return f"a map of {width} x {height} cells: up to {MAX_CELLS} are taken"
