@@ -7,7 +7,9 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.section import Section
+from bridge.config.sections.transforms import TransformServerSection
 
 _FACTORY = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", re.ASCII)
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,62}")
@@ -45,12 +47,19 @@ class ModulesSection(Section):
     enabled: Literal["auto", False] = Field(
         default="auto", description="`auto`: those that are switched on run; `false`: none does."
     )
+    transform_server: TransformServerSection = Field(
+        default_factory=TransformServerSection,
+        description="The frames of all sides for YARP programs; see docs/frames.md.",
+    )
     own: tuple[OwnModule, ...] = Field(default=(), description="Modules of one's own.")
 
     @property
     def sections(self) -> dict[str, Section]:
         """The sections of the modules that are switched on, by name."""
-        return {module.name: module for module in self.own}
+        ours: dict[str, Section] = {
+            name: part for name, part in self if isinstance(part, ModuleSection) and part.enabled
+        }
+        return ours | {module.name: module for module in self.own}
 
     @model_validator(mode="after")
     def _names_differ(self) -> ModulesSection:

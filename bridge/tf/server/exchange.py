@@ -1,0 +1,158 @@
+"""The frames of all sides in one place: what YARP programs set goes to the hub, and what the hub tells to them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import Refusal
+from bridge.tf.server.clock import YarpClock
+from bridge.tf.server.view import View
+from bridge.tf.stamped import Stamped, read, write
+from yarp_compat.dev.frametransform import FrameTransform
+
+_log = logging.getLogger(__name__)
+
+YARP, HUB = "yarp", "hub"
+"""The authorities of frames."""
+
+_HARMLESS = (None, Refusal.OLD_DATA, Refusal.REPEATED_DATA)
+"""What is no error of who set a transform: YARP's own servers keep the newest, and say nothing."""
+
+_LAST_SECOND = float(1 << 31)
+
+Publish = Callable[[bytes], None]
+
+
+class Exchange:
+    """Takes frames of both, and gives each the other's. Safe to use from any thread.
+
+    Args:
+        buffer: all frames' histories.
+        view: what YARP programs see.
+        clock: their clock.
+        publish: publishes a message of the timed frames that YARP programs set.
+        publish_static: publishes one of all their static frames, for late joiners too.
+    """
+
+    def __init__(
+        self, buffer: TransformBuffer, view: View, clock: YarpClock, publish: Publish, publish_static: Publish
+    ) -> None:
+        self.buffer, self.view = buffer, view
+        self.ignored: Counter[str] = Counter()
+        """Transforms of YARP programs that were not taken up though nothing is wrong with them, by why."""
+        self._clock = clock
+        self._publish, self._publish_static = publish, publish_static
+        self._lock = threading.Lock()
+
+    def set(self, transforms: Sequence[FrameTransform]) -> Refusal | None:
+        """Take up what a YARP program sets, and publish it.
+
+        What expired before it came is left out, as is a sample of a frame that is static until it is deleted.
+
+        Returns:
+            None, or why one of them was refused; the others are taken up.
+        """
+        with self._lock:
+            sound = [t for t in transforms if 0.0 <= t.timestamp < _LAST_SECOND]
+            flaw = None if len(sound) == len(transforms) else Refusal.INVALID_STAMP
+            flaw = self._set([t for t in sound if not t.isStatic and self._timely(t)], static=False) or flaw
+            return self._set([t for t in sound if t.isStatic], static=True) or flaw
+
+    def give(self) -> list[FrameTransform]:
+        """All frames that YARP programs are to see now."""
+        with self._lock:
+            return self.view.give()
+
+    def delete(self, one: str, other: str) -> bool:
+        """Forget what YARP programs set between two frames; whether there was any."""
+        with self._lock:
+            static = sum(1 for _ in self.view.own_static())
+            one, other = _plain(one), _plain(other)
+            gone = self.view.delete(one, other)
+            for child in gone:
+                self.buffer.remove(child)
+            if static != sum(1 for _ in self.view.own_static()):
+                self._tell_static()
+            if not gone and self.view.heard(one, other):
+                _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", one, other)
+        return bool(gone)
+
+    def hear(self, cdr: bytes, *, static: bool) -> None:
+        """Take up a message of the hub."""
+        stamped = read(cdr)
+        with self._lock:
+            for transform, refusal in zip(
+                stamped, self.buffer.set_transforms(stamped, HUB, static=static), strict=True
+            ):
+                if refusal is None or refusal is Refusal.REPEATED_DATA:  # who says it again says that it holds
+                    self.view.hear(transform, static=static)
+
+    def forget_timed(self) -> None:
+        """Forget all but static frames: time was set back."""
+        with self._lock:
+            self.buffer.clear()
+            self.view.forget_timed()
+
+    def _timely(self, transform: FrameTransform) -> bool:
+        if self.view.is_static(_plain(transform.dst_frame_id)):
+            self.ignored["static"] += 1
+            return False
+        if self._clock.age(transform.timestamp) <= self.view.yarp_lifetime:
+            return True
+        self.ignored["expired"] += 1
+        if self.ignored["expired"] == 1:
+            _log.warning(
+                "the transform of %r came %.3f s after its stamp, expired: set its machine's clock, or"
+                " modules.transform_server.yarp_frame_lifetime (more are only counted)",
+                transform.dst_frame_id,
+                self._clock.age(transform.timestamp),
+            )
+        return False
+
+    def _set(self, transforms: list[FrameTransform], *, static: bool) -> Refusal | None:
+        if not transforms:
+            return None
+        stamped = [self._stamped(transform) for transform in transforms]
+        if static:
+            self._begin_again(stamped)
+        refusals = self.buffer.set_transforms(stamped, YARP, static=static)
+        taken = []
+        for transform, told, refusal in zip(transforms, stamped, refusals, strict=True):
+            if refusal is None:
+                self.view.spell(transform.src_frame_id)
+                self.view.spell(transform.dst_frame_id)
+                own = replace(transform, timestamp=self._clock.seen(transform.timestamp))
+                self.view.set(own, told)
+                taken.append(told)
+        if taken and static:
+            self._tell_static()
+        elif taken:
+            self._publish(write(taken))
+        return next((refusal for refusal in refusals if refusal not in _HARMLESS), None)
+
+    def _begin_again(self, stamped: Iterable[Stamped]) -> None:
+        """Forget histories of frames that become static: their first transform says what they are."""
+        for transform in stamped:
+            if not self.view.is_static(transform.child_frame_id):
+                self.buffer.remove(transform.child_frame_id)
+
+    def _stamped(self, transform: FrameTransform) -> Stamped:
+        moved, turned = (
+            (transform.tX, transform.tY, transform.tZ),
+            (transform.qX, transform.qY, transform.qZ, transform.qW),
+        )
+        parent, child = _plain(transform.src_frame_id), _plain(transform.dst_frame_id)
+        return Stamped(parent, child, self._clock.of_run(transform.timestamp), moved, turned)
+
+    def _tell_static(self) -> None:
+        self._publish_static(write(self._stamped(transform) for transform in self.view.own_static()))
+
+
+def _plain(name: str) -> str:
+    """A name as tf2 has it: without a slash first, and of what UTF-8 can say."""
+    return (name if name.isascii() else name.encode("utf-8", "replace").decode()).lstrip("/")

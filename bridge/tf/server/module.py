@@ -1,0 +1,101 @@
+"""TransformServer: the frames of ROS 1, ROS 2, zenoh and YARP in one place, given to YARP by its own interfaces.
+
+It hears `/tf` and `/tf_static` on the hub and publishes there what YARP programs set; the other sides have each other's
+frames by routing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.sections.section import Section
+from bridge.config.sections.transforms import TransformServerSection
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.server.clock import YarpClock
+from bridge.tf.server.exchange import Exchange
+from bridge.tf.server.rpc import Getter, Setter, Streamed
+from bridge.tf.server.view import View
+from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
+from bridge.worker import Health
+from yarp_compat.dev.frametransformstorage import GET, SERVER, SET, STREAM
+
+_DEPTH = 1000
+"""Messages of `/tf` that may wait: every publisher of a robot sends its own at the same time."""
+
+
+class TransformServer(Module):
+    """What `frameTransformServer` is to YARP's `frameTransformClient`, with the frames of all sides."""
+
+    name = "transform_server"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Hear frames and offer the ports."""
+        assert isinstance(section, TransformServerSection)
+        self._section = section
+        clock = YarpClock(host.clock, follows=section.clock == "run")
+        self._buffer = TransformBuffer(section.cache_time, max_future=section.max_future, now=host.clock.now_ns)
+        self._view = View(clock.now, section.yarp_frame_lifetime, section.ros_frame_lifetime)
+        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+        tf = host.node.publisher(TF, TF_TYPE, Qos(depth=100))
+        tf_static = host.node.publisher(TF_STATIC, TF_TYPE, latched, priority="state")
+        self._exchange = Exchange(self._buffer, self._view, clock, tf.publish_cdr, tf_static.publish_cdr)
+
+        def hear(cdr: bytes) -> None:
+            self._exchange.hear(cdr, static=False)
+
+        def hear_static(cdr: bytes) -> None:
+            self._exchange.hear(cdr, static=True)
+
+        host.node.subscription_cdr(TF, TF_TYPE, hear, Qos(depth=_DEPTH))
+        every = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
+        host.node.subscription_cdr(TF_STATIC, TF_TYPE, hear_static, every)
+        host.on_jump(self._exchange.forget_timed)
+
+        ports = section.prefix + SERVER
+        host.yarp.serve(ports + SET, Setter(self._exchange))
+        host.yarp.serve(ports + GET, Getter(self._exchange))
+        stream = host.yarp.output(ports + STREAM)
+        generations = host.config.yarp.generations()
+
+        def send() -> None:
+            if stream.heard:
+                stream.write(Streamed(self._exchange.give(), lambda profile: generations.of("", profile).generation))
+
+        host.loop.every(section.period, send)
+
+    def reload(self, section: Section) -> bool:
+        """Take up other lifetimes while it runs."""
+        assert isinstance(section, TransformServerSection)
+        lifetimes = {
+            "yarp_frame_lifetime": section.yarp_frame_lifetime,
+            "ros_frame_lifetime": section.ros_frame_lifetime,
+        }
+        if self._section.model_copy(update=lifetimes) != section:
+            return False
+        self._section = section
+        self._view.yarp_lifetime, self._view.ros_lifetime = lifetimes.values()
+        return True
+
+    def health(self) -> Health:
+        """How many frames it has."""
+        return Health("running", f"{len(self._view)} frames, {self._view.ours} of YARP programs")
+
+    def status(self) -> dict[str, Any]:
+        """What was not taken up, and who disagrees."""
+        return {
+            "frames": len(self._view),
+            "frames_of_yarp": self._view.ours,
+            "refused": dict(self._buffer.refused),
+            "ignored": dict(self._exchange.ignored + self._view.left_out),
+            "conflicts": [
+                {
+                    "frame": info.name,
+                    "parents": sorted(info.parents),
+                    "sources": sorted({s.authority for s in info.sources}),
+                }
+                for info in self._buffer.conflicts()
+            ],
+        }

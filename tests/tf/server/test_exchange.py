@@ -1,0 +1,275 @@
+"""What YARP programs and the hub see of each other's frames: expiry, stamps, deletion, names, loops, two clocks."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import pytest
+
+from bridge.clock import RunClock
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import Refusal
+from bridge.tf.server.clock import YarpClock
+from bridge.tf.server.exchange import Exchange
+from bridge.tf.server.rpc import Getter, Setter
+from bridge.tf.server.view import View
+from bridge.tf.stamped import Stamped, read, write
+from yarp_compat.dev.frametransform import FrameTransform
+from yarp_compat.dev.returnvalue import CallFailed
+
+UNIT = (0.0, 0.0, 0.0, 1.0)
+
+
+class Stopped:
+    """Both clocks, which stand still until they are told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.system = 1_795_000_000.0
+        monkeypatch.setattr(time, "time", lambda: self.system)
+        monkeypatch.setattr(time, "time_ns", lambda: round(self.system * 1e9))
+
+
+class Place:
+    """An exchange, and what it published."""
+
+    def __init__(self, run: RunClock, *, follows: bool = True) -> None:
+        self.run, self.clock = run, YarpClock(run, follows=follows)
+        self.view = View(self.clock.now, 0.2, 1.0)
+        self.buffer = TransformBuffer(now=run.now_ns)
+        self.said: list[Stamped] = []
+        self.static: list[list[Stamped]] = []
+        self.exchange = Exchange(
+            self.buffer,
+            self.view,
+            self.clock,
+            lambda cdr: self.said.extend(read(cdr)),
+            lambda c: self.static.append(read(c)),
+        )
+
+    def set(self, *transforms: FrameTransform) -> Refusal | None:
+        return self.exchange.set(transforms)
+
+    def hear(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
+        stamp = self.run.now_ns() if stamp is None else stamp
+        self.exchange.hear(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), static=static)
+
+    def seen(self) -> dict[str, FrameTransform]:
+        return {transform.dst_frame_id: transform for transform in self.exchange.give()}
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Stopped:
+    return Stopped(monkeypatch)
+
+
+@pytest.fixture
+def place(clock: Stopped) -> Place:
+    return Place(RunClock())
+
+
+def frame(parent: str, child: str, stamp: float, **values: Any) -> FrameTransform:
+    return FrameTransform(parent, child, stamp, **values)
+
+
+def test_what_a_yarp_program_sets_is_published_once_and_leaves_after_its_time(place: Place, clock: Stopped) -> None:
+    given = frame("map", "base", clock.system, tX=1.0, tY=2.0, tZ=3.0, qX=0.6, qY=0.0, qZ=0.0, qW=0.8)
+    assert place.set(given) is None
+    assert place.said == [Stamped("map", "base", 1_795_000_000_000_000_000, (1.0, 2.0, 3.0), (0.6, 0.0, 0.0, 0.8))]
+    clock.system += 0.19
+    assert place.seen() == {"base": given}
+    clock.system += 0.02
+    assert place.seen() == {}
+    assert len(place.said) == 1
+    assert place.buffer.lookup_transform("map", "base").translation == (1.0, 2.0, 3.0)
+
+
+def test_what_came_too_late_is_not_taken_up(place: Place, clock: Stopped) -> None:
+    assert place.set(frame("map", "base", clock.system - 0.3), frame("map", "other", clock.system)) is None
+    assert [t.child_frame_id for t in place.said] == ["other"]
+    assert place.exchange.ignored["expired"] == 1
+
+
+def test_frames_of_the_hub_are_stamped_anew_and_never_published(place: Place, clock: Stopped) -> None:
+    place.hear("odom", "base", place.run.now_ns() - 100_000_000, x=4.0)
+    clock.system += 0.9
+    shown = place.seen()["base"]
+    assert (shown.src_frame_id, shown.tX, shown.timestamp, shown.isStatic) == ("odom", 4.0, clock.system, 0)
+    clock.system += 0.5
+    assert place.seen() == {}
+    assert not place.said
+    assert not place.static
+
+
+def test_a_frame_at_one_hertz_does_not_blink(place: Place, clock: Stopped) -> None:
+    for tick in range(400):
+        if tick % 100 == (3 if tick > 200 else 0):  # late for once
+            place.hear("odom", "base")
+        assert "base" in place.seen(), tick
+        clock.system += 0.01
+
+
+def test_static_frames_stay_and_are_published_whole(place: Place, clock: Stopped) -> None:
+    place.hear("base", "lidar", 0, static=True)
+    place.set(frame("base", "camera", clock.system, isStatic=1, tX=1.0))
+    place.set(frame("base", "arm", clock.system, isStatic=1))
+    assert [[t.child_frame_id for t in said] for said in place.static] == [["camera"], ["camera", "arm"]]
+    clock.system += 1000
+    seen = place.seen()
+    assert sorted(seen) == ["arm", "camera", "lidar"]
+    assert seen["lidar"].isStatic == 1
+    assert place.set(frame("base", "camera", clock.system, tX=5.0)) is None  # as in YARP: it is static until deleted
+    assert place.seen()["camera"].tX == 1.0
+    assert place.exchange.ignored["static"] == 1
+    assert not place.said
+
+
+def test_a_frame_that_expired_may_become_static(place: Place, clock: Stopped) -> None:
+    place.set(frame("map", "base", clock.system))
+    clock.system += 1
+    assert place.set(frame("map", "base", clock.system, isStatic=1, tX=2.0)) is None
+    assert place.buffer.lookup_transform("map", "base", 1).translation == (2.0, 0.0, 0.0)
+
+
+def test_delete_either_way_round_and_by_wildcards(place: Place, clock: Stopped) -> None:
+    def all_set() -> None:
+        pairs = (("map", "a"), ("map", "b"), ("b", "c"))
+        assert place.set(*(frame(p, c, clock.system, isStatic=1) for p, c in pairs)) is None
+
+    rpc = Setter(place.exchange)
+    for source, target, left in (
+        ("map", "a", "bc"),
+        ("a", "map", "bc"),
+        ("map", "*", "c"),
+        ("*", "c", "ab"),
+        ("*", "*", ""),
+    ):
+        all_set()
+        assert rpc.deleteTransformRPC(source, target)
+        assert sorted(place.seen()) == sorted(left)
+        assert [t.child_frame_id for t in place.static[-1]] == list(left)
+        assert not place.buffer.can_transform("map", "a")[0] or "a" in left
+    all_set()
+    assert rpc.clearAllRPC()
+    assert not place.seen()
+    assert rpc.deleteTransformRPC("*", "x")
+    with pytest.raises(CallFailed):
+        rpc.deleteTransformRPC("map", "a")
+    all_set()  # and may be set again
+    assert len(place.seen()) == 3
+
+
+def test_frames_of_other_sides_are_not_yarps_to_delete(place: Place, caplog: pytest.LogCaptureFixture) -> None:
+    place.hear("base", "lidar", 0, static=True)
+    rpc = Setter(place.exchange)
+    with pytest.raises(CallFailed):
+        rpc.deleteTransformRPC("base", "lidar")
+    assert "another side says it" in caplog.text
+    rpc.clearAllRPC()
+    assert list(place.seen()) == ["lidar"]
+
+
+def test_names_are_as_the_yarp_program_wrote_them_and_without_slash_on_the_hub(place: Place, clock: Stopped) -> None:
+    place.hear("map", "odom")
+    assert place.set(frame("/odom", "/base", clock.system)) is None
+    assert [(t.frame_id, t.child_frame_id) for t in place.said] == [("odom", "base")]
+    seen = place.seen()
+    assert (seen["/odom"].src_frame_id, seen["/base"].src_frame_id) == ("map", "/odom")
+    place.hear("/base", "laser")
+    assert place.seen()["laser"].src_frame_id == "/base"
+
+
+@pytest.mark.parametrize(
+    ("bad", "why"),
+    [
+        ({"tX": math.nan}, Refusal.NAN_INPUT),
+        ({"qW": 2.0}, Refusal.DENORMALIZED_QUATERNION),
+        ({"src_frame_id": ""}, Refusal.NO_FRAME_ID),
+        ({"dst_frame_id": ""}, Refusal.NO_CHILD_FRAME_ID),
+        ({"dst_frame_id": "map"}, Refusal.SELF_TRANSFORM),
+        ({"timestamp": math.nan}, Refusal.INVALID_STAMP),
+        ({"timestamp": 1e300}, Refusal.INVALID_STAMP),
+    ],
+)
+@pytest.mark.parametrize("static", [0, 1])
+def test_bad_input_is_an_error_and_stops_nothing_else(
+    place: Place, clock: Stopped, bad: dict[str, Any], why: Refusal, static: int
+) -> None:
+    whole = {"src_frame_id": "map", "dst_frame_id": "base", "timestamp": clock.system, "isStatic": static, **bad}
+    rpc = Setter(place.exchange)
+    with pytest.raises(CallFailed, match=why):
+        rpc.setTransformsRPC([FrameTransform(**whole), frame("map", "good", clock.system)])
+    assert list(place.seen()) == ["good"]
+    assert [t.child_frame_id for t in place.said] == ["good"]
+    assert not place.static
+
+
+def test_a_stamp_far_ahead_is_refused(place: Place, clock: Stopped) -> None:
+    assert place.set(frame("map", "base", clock.system + 1.5)) is None
+    assert place.set(frame("map", "base", clock.system + 5.0)) is Refusal.FUTURE
+    assert len(place.said) == 1
+
+
+def test_a_name_that_is_no_utf8_is_shown_with_question_marks(place: Place, clock: Stopped) -> None:
+    name = bytes([0xE4, 0x62]).decode("utf-8", "surrogateescape")
+    assert place.set(frame("map", name, clock.system, isStatic=1)) is None
+    assert place.static[-1][0].child_frame_id == "?b"
+
+
+def test_no_loop_is_shown_as_yarps_clients_would_never_end(place: Place, clock: Stopped) -> None:
+    place.hear("a", "b")
+    place.hear("b", "c")
+    place.set(frame("c", "a", clock.system))
+    assert sorted(place.seen()) == ["b", "c"]
+    assert place.view.left_out["loop"] == 1
+    clock.system += 2.0  # the others have expired
+    place.set(frame("c", "a", clock.system))
+    assert sorted(place.seen()) == ["a"]
+
+
+def test_the_newest_parent_wins_and_both_are_told(place: Place, clock: Stopped) -> None:
+    place.hear("odom", "base")
+    place.hear("map", "base", place.run.now_ns() - 50_000_000)
+    assert place.seen()["base"].src_frame_id == "odom"
+    clock.system += 0.01
+    place.set(frame("map", "base", clock.system))
+    assert place.seen()["base"].src_frame_id == "map"
+    assert {s.authority for s in place.buffer.conflicts()[0].sources} == {"hub", "yarp"}
+
+
+def simulated(seconds: float) -> RunClock:
+    run = RunClock(simulated=True)
+    run.hear(tick(seconds))
+    return run
+
+
+def tick(seconds: float) -> bytes:
+    whole, rest = divmod(round(seconds * 1e9), 1_000_000_000)
+    return bytes([0, 1, 0, 0]) + whole.to_bytes(4, "little") + rest.to_bytes(4, "little")
+
+
+@pytest.mark.parametrize(("follows", "shown"), [(True, 100.0), (False, 1_795_000_000.0)])
+def test_a_run_on_a_simulations_clock(clock: Stopped, follows: bool, shown: float) -> None:
+    place = Place(simulated(100.0), follows=follows)
+    place.hear("odom", "base")
+    assert place.seen()["base"].timestamp == shown
+    place.set(frame("base", "on_its_clock", 99.95), frame("base", "on_the_systems", clock.system - 0.05))
+    assert [t.stamp for t in place.said] == pytest.approx([99_950_000_000] * 2, abs=1000)
+    assert {round(place.seen()[n].timestamp, 6) for n in ("on_its_clock", "on_the_systems")} == {round(shown - 0.05, 6)}
+    place.run.hear(tick(100.3))
+    clock.system += 0.3
+    assert list(place.seen()) == ["base"]
+    place.hear("base", "lidar", 0, static=True)
+    place.run.hear(tick(1.0))
+    place.exchange.forget_timed()
+    assert list(place.seen()) == ["lidar"]
+    assert place.set(frame("map", "base", 1.0)) is None
+    assert sorted(place.seen()) == ["base", "lidar"]
+
+
+def test_get_gives_all(place: Place) -> None:
+    place.hear("odom", "base")
+    outcome, transforms = Getter(place.exchange).getTransformsRPC()
+    assert outcome
+    assert [t.dst_frame_id for t in transforms] == ["base"]
