@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
+from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from bridge.hub.qos import Durability, Qos
@@ -18,6 +19,9 @@ KEPT_SECONDS = 3600.0
 """How long a result is kept for whoever asks for it."""
 
 MAX_KEPT = 10_000
+MAX_TOLD = 100
+"""Goals of which the status topic tells, at most: the newest."""
+
 MAX_GOALS = 1000
 """Goals that have not ended, at most; further ones are rejected."""
 
@@ -41,7 +45,7 @@ class Goal:
         self._server = server
         self._result: Mapping[str, Any] = {}
         self._asking: list[Answer] = []
-        self.ended_at: float | None = None
+        self.ended_at = 0.0
 
     @property
     def active(self) -> bool:
@@ -86,6 +90,7 @@ class Goal:
             return
         self._result = result or {}
         self.ended_at = time.monotonic()
+        self._server.ended(self)
         self._change(status)
         asking, self._asking = self._asking, []
         for answer in asking:
@@ -107,10 +112,21 @@ Cancel = Callable[[Goal], bool]
 class ActionServer:
     """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread."""
 
-    def __init__(self, node: Node, name: str, type_name: str, take: Take, cancel: Cancel | None = None) -> None:
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        take: Take,
+        cancel: Cancel | None = None,
+        *,
+        kept: float = KEPT_SECONDS,
+    ) -> None:
         self.name, self.type_name = name, type_name
-        self._node, self._take, self._cancel = node, take, cancel
-        self._goals: OrderedDict[bytes, Goal] = OrderedDict()
+        self._node, self._take, self._cancel, self._kept = node, take, cancel, kept
+        self._goals: dict[bytes, Goal] = {}
+        self._active: dict[bytes, Goal] = {}
+        self._ended: deque[Goal] = deque()
         self._starting = False
         names, types = parts(name), parts(type_name, sep="_")
         latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
@@ -123,7 +139,7 @@ class ActionServer:
     @property
     def active(self) -> list[Goal]:
         """The goals that have not ended, the oldest first."""
-        return [goal for goal in self._goals.values() if goal.active]
+        return list(self._active.values())
 
     def publish_feedback(self, goal_id: bytes, feedback: Mapping[str, Any]) -> None:
         """Tell how far a goal is."""
@@ -134,26 +150,26 @@ class ActionServer:
         if self._starting:
             return
         self._expire()
-        told = list(self._goals.values())[-100:]
+        told = reversed(list(islice(reversed(self._goals.values()), MAX_TOLD)))
         self._status.publish({"status_list": [{"goal_info": _info(g), "status": int(g.status)} for g in told]})
 
     def _sent(self, request: dict[str, Any], answer: Answer) -> None:
         goal_id = bytes(request["goal_id"]["uuid"])
         stamp = self._node.clock.stamp()
-        if goal_id in self._goals or len(self.active) >= MAX_GOALS:
+        if goal_id in self._goals or len(self._active) >= MAX_GOALS:
             answer({"accepted": False, "stamp": stamp})
             return
-        goal = self._goals[goal_id] = Goal(self, goal_id, request["goal"], stamp)
+        goal = self._goals[goal_id] = self._active[goal_id] = Goal(self, goal_id, request["goal"], stamp)
         self._starting = True
         try:
             accepted = self._take(goal)
         except BaseException:
-            del self._goals[goal_id]
+            self._forget(goal)
             raise
         finally:
             self._starting = False
         if not accepted:
-            self._goals.pop(goal_id, None)
+            self._forget(goal)
         answer({"accepted": accepted, "stamp": stamp})
         if accepted:
             self.tell_status()
@@ -185,13 +201,21 @@ class ActionServer:
             goal.begin_cancel()
         return True
 
+    def ended(self, goal: Goal) -> None:
+        """A goal has its result."""
+        if self._active.pop(goal.id, None) is not None:
+            self._ended.append(goal)
+
+    def _forget(self, goal: Goal) -> None:
+        """A goal that was not accepted."""
+        del self._goals[goal.id]
+        self._active.pop(goal.id, None)
+
     def _expire(self) -> None:
-        long_ago = time.monotonic() - KEPT_SECONDS
-        ended = [goal for goal in self._goals.values() if goal.ended_at is not None]
-        surplus = len(ended) - MAX_KEPT
-        for number, goal in enumerate(ended):
-            assert goal.ended_at is not None
-            if goal.ended_at < long_ago or number < surplus:
+        long_ago = time.monotonic() - self._kept
+        while self._ended and (len(self._ended) > MAX_KEPT or self._ended[0].ended_at < long_ago):
+            goal = self._ended.popleft()
+            if self._goals.get(goal.id) is goal:
                 del self._goals[goal.id]
 
 

@@ -17,7 +17,7 @@ from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import Reader, Writer
 from bridge.modules.action_client import ActionClient
-from bridge.modules.action_server import ActionServer, Cancel, Take
+from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Cancel, Take
 from bridge.modules.loop import Loop
 from bridge.modules.services import Client, Serve, Server
 from bridge.routing.counters import Counters
@@ -162,9 +162,14 @@ class Node:
         self._ends.append(made)
         return made
 
-    def action_server(self, name: str, type_name: str, take: Take, cancel: Cancel | None = None) -> ActionServer:
-        """Serve an action (``nav2_msgs/action/NavigateToPose``); raises `bridge.messages.errors.MessageTypeError`."""
-        return ActionServer(self, name, type_name, take, cancel)
+    def action_server(
+        self, name: str, type_name: str, take: Take, cancel: Cancel | None = None, *, kept: float = KEPT_SECONDS
+    ) -> ActionServer:
+        """Serve an action (``nav2_msgs/action/NavigateToPose``); results are kept for so many seconds.
+
+        Raises `bridge.messages.errors.MessageTypeError`.
+        """
+        return ActionServer(self, name, type_name, take, cancel, kept=kept)
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""
