@@ -311,6 +311,10 @@ class TransformBuffer:
         """The tree for Graphviz."""
         return tree.as_dot(self.frames())
 
+    def yaml(self) -> str:
+        """All frames as tf2 tells them (service ``tf2_frames``)."""
+        return tree.as_yaml(self.frames())
+
     def _wait(self, timeout: float, ask: Callable[[], Transform]) -> Transform:
         """Ask again whenever something new has come, up to the deadline."""
         end = time.monotonic() + timeout

@@ -38,6 +38,28 @@ def as_dot(frames: Iterable[FrameInfo]) -> str:
     return "\n".join(["digraph G {", *_edges(frames), "}"])
 
 
+def as_yaml(frames: Iterable[FrameInfo]) -> str:
+    """What the service ``tf2_frames`` answers: the fields of tf2's allFramesAsYAML, which view_frames reads.
+
+    As there, a static frame's times are 0 and its rate is 10000.
+    """
+    parts = [_yaml(info) for info in sorted(frames, key=lambda info: info.name)]
+    return "".join(parts) or "[]"
+
+
+def _yaml(info: FrameInfo) -> str:
+    newest, oldest = info.newest / 1e9, info.oldest / 1e9
+    fields = {
+        "parent": _quoted(info.parent),
+        "broadcaster": _quoted(info.authority or "no recorded authority"),
+        "rate": f"{info.samples / max(newest - oldest, 0.0001):.3f}",
+        "most_recent_transform": f"{newest:.3f}",
+        "oldest_transform": f"{oldest:.3f}",
+        "buffer_length": f"{newest - oldest:.3f}",
+    }
+    return f"{_quoted(info.name)}:\n" + "".join(f"  {name}: {value}\n" for name, value in fields.items())
+
+
 def _edges(frames: Iterable[FrameInfo]) -> Iterator[str]:
     for info in sorted(frames, key=lambda info: info.name):
         label = f"authority: {info.authority}\n" + _times(info)

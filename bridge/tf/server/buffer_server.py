@@ -1,0 +1,144 @@
+"""The buffer for programs that have none: the action ``/tf2_buffer_server`` and the service ``/tf2_frames``.
+
+They are those of tf2_ros (its BufferServer and Buffer), so that its BufferClient works against them, in ROS 1 and in
+ROS 2. As there, a lookup that fails is a goal that succeeded, with the error in its result.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from bridge.modules.action_server import Goal
+from bridge.modules.loop import Timer
+from bridge.modules.node import Node
+from bridge.modules.services import Answer
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import (
+    ConnectivityError,
+    ExtrapolationError,
+    InvalidArgumentError,
+    LookupError_,
+    TransformError,
+)
+from bridge.tf.transform import Transform
+
+ACTION, LOOKUP = "/tf2_buffer_server", "tf2_msgs/action/LookupTransform"
+FRAMES, FRAME_GRAPH = "/tf2_frames", "tf2_msgs/srv/FrameGraph"
+
+KEPT_SECONDS = 10.0
+"""How long a result may be fetched; there may be a hundred goals a second, and nobody comes back to an old one."""
+
+_LOOK_SECONDS = 0.005
+_SECOND = 1_000_000_000
+_ERRORS: dict[type[TransformError], int] = {
+    LookupError_: 1,
+    ConnectivityError: 2,
+    ExtrapolationError: 3,
+    InvalidArgumentError: 4,
+}
+_TRANSFORM_ERROR = 6  # tf2_msgs/msg/TF2Error; the rest above
+
+
+class BufferServer:
+    """Looks up transforms for others. All of it runs on the module's thread; its ends are closed with the node.
+
+    Args:
+        node: of the module.
+        buffer: where the transforms are.
+    """
+
+    def __init__(self, node: Node, buffer: TransformBuffer) -> None:
+        self._node, self._buffer = node, buffer
+        self._waiting: dict[bytes, _Lookup] = {}
+        self._timer: Timer | None = None
+        self._seen = -1
+        self._ended: Counter[str] = Counter()
+        node.action_server(ACTION, LOOKUP, self._take, self._cancel, kept=KEPT_SECONDS)
+        node.server(FRAMES, FRAME_GRAPH, self._tell_frames)
+
+    def status(self) -> dict[str, Any]:
+        """For the module's part of the status document."""
+        return {"waiting": len(self._waiting), **self._ended}
+
+    def _take(self, goal: Goal) -> bool:
+        lookup = _Lookup(goal, self._node.clock.now_ns())
+        goal.execute()
+        if not self._end(lookup):
+            self._waiting[goal.id] = lookup
+            if self._timer is None:
+                self._timer = self._node.loop.every(_LOOK_SECONDS, self._look)
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        if self._waiting.pop(goal.id, None) is not None:
+            self._ended["canceled"] += 1
+            goal.canceled()
+        return True
+
+    def _look(self) -> None:
+        """Ask again for those that wait, where something new has come or their time is over."""
+        changes, now = self._buffer.changes, self._node.clock.now_ns()
+        new, self._seen = changes != self._seen, changes
+        for lookup in list(self._waiting.values()):
+            if (new or lookup.over(now)) and self._end(lookup):
+                del self._waiting[lookup.goal.id]
+        if not self._waiting and self._timer is not None:
+            self._timer.close()
+            self._timer = None
+
+    def _end(self, lookup: _Lookup) -> bool:
+        """Give the answer, or the error where nothing is left to wait for."""
+        try:
+            found = lookup.ask(self._buffer)
+        except TransformError as err:
+            final = isinstance(err, InvalidArgumentError) or lookup.over(self._node.clock.now_ns())
+            if final:
+                self._ended["failed"] += 1
+                code = _ERRORS.get(type(err), _TRANSFORM_ERROR)
+                lookup.goal.succeed({"error": {"error": code, "error_string": str(err)}})
+            return final
+        self._ended["found"] += 1
+        lookup.goal.succeed({"transform": stamped(found)})
+        return True
+
+    def _tell_frames(self, _request: dict[str, Any], answer: Answer) -> None:
+        answer({"frame_yaml": self._buffer.yaml()})
+
+
+class _Lookup:
+    """What one goal asks for, and until when."""
+
+    def __init__(self, goal: Goal, now: int) -> None:
+        self.goal = goal
+        self._began = now
+        self._until = now + _nanoseconds(goal.goal["timeout"])
+
+    def over(self, now: int) -> bool:
+        """Whether its time is over, or was set back."""
+        return not self._began <= now < self._until
+
+    def ask(self, buffer: TransformBuffer) -> Transform:
+        """Look it up; raises `TransformError`."""
+        asked = self.goal.goal
+        target, source, stamp = asked["target_frame"], asked["source_frame"], _nanoseconds(asked["source_time"])
+        if not asked["advanced"]:
+            return buffer.lookup_transform(target, source, stamp)
+        target_stamp = _nanoseconds(asked["target_time"])
+        return buffer.lookup_transform_full(target, target_stamp, source, stamp, asked["fixed_frame"])
+
+
+def stamped(transform: Transform) -> dict[str, Any]:
+    """A transform as ``geometry_msgs/msg/TransformStamped``."""
+    seconds, nanoseconds = divmod(transform.stamp, _SECOND)
+    x, y, z = transform.translation
+    qx, qy, qz, qw = transform.rotation
+    return {
+        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": transform.frame_id},
+        "child_frame_id": transform.child_frame_id,
+        "transform": {"translation": {"x": x, "y": y, "z": z}, "rotation": {"x": qx, "y": qy, "z": qz, "w": qw}},
+    }
+
+
+def _nanoseconds(time: dict[str, int]) -> int:
+    return int(time["sec"]) * _SECOND + int(time["nanosec"])
