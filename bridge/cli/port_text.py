@@ -19,13 +19,18 @@ def port_list(document: Document) -> list[Document]:
 
 def content_text(port: Document) -> str:
     """``sensor_msgs/msg/LaserScan as YARP's own type, YARP 3's bytes``; "" where it does not say it."""
-    carries, said = str(port.get("carries", "")), []
-    if port.get("type") and carries:
-        form = _FORMS.get(carries, f"a Bottle of the {carries}")
-        said.append(f"{port['type']} as {form}")
+    said = []
+    if port.get("type") and port.get("carries"):
+        said.append(f"{port['type']} as {_form(port['carries'])}")
+    if port.get("replies"):
+        said.append(f"answered by {_form(port['replies'])}")
     if port.get("profile"):
         said.append(_bytes(port))
     return clean(", ".join(said))
+
+
+def _form(carries: object) -> str:
+    return _FORMS.get(str(carries), f"a Bottle of the {carries}")
 
 
 def port_lines(port: Document) -> list[str]:

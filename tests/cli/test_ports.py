@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from bridge.cli.main import main
+from bridge.cli.port_text import port_lines
 from tests.adapters.yarp.conftest import Place
 from tests.cli.conftest import Midspan
 from tests.support.wait import until
@@ -98,3 +99,12 @@ def test_they_are_told_in_words(place: Place, midspan: Midspan) -> None:
     assert "-> /reader over tcp" in status
     assert "ports to which nobody is connected" in status
     assert main(["explain", "/no/such:o", "--config", str(midspan.config)]) == 1
+
+
+def test_a_port_of_a_service_tells_what_it_is_asked_and_what_it_answers() -> None:
+    served = {"port": "/lamp/rpc", "direction": "rpc", "type": "std_srvs/srv/SetBool", "profile": "yarp3", "peers": []}
+    (line,) = port_lines({**served, "carries": "fields 'set' data", "replies": "bottle"})
+    assert line.startswith(
+        "YARP port /lamp/rpc answers calls: std_srvs/srv/SetBool as a Bottle of the fields 'set' data,"
+    )
+    assert "answered by nested lists" in line

@@ -12,7 +12,7 @@ from bridge.config.sections.yarp import Service as ServiceRule
 from bridge.config.sections.yarp import Topic, YarpSection
 from bridge.messages.registry import Registry
 from bridge.messages.yarp.codec import Codec
-from bridge.messages.yarp.contents import Content
+from bridge.messages.yarp.contents import Content, Form
 from bridge.messages.yarp.fields import Entry
 from bridge.messages.yarp.natural.kind import Missing
 from bridge.routing.patterns import glob_regex
@@ -86,12 +86,20 @@ class Contents:
 
     def bottles(self, service: str, type_name: str, type_hash: str) -> CallBottles:
         """The converter of a service's calls; raises `MessageTypeError`."""
+        request, reply = self.of_service(service)
+        return CallBottles(self._registry, type_name, type_hash, request.fields, reply.fields, self.profile)
+
+    def of_service(self, service: str) -> tuple[Content, Content]:
+        """What the RPC port of a service carries: as requests, and as replies."""
         rule = self.served_by(service) or next(
             (rule for pattern, rule in self._services if pattern.fullmatch(service)), None
         )
         request, reply = ((), ()) if rule is None else (rule.request, rule.reply)
-        asked, told = ([Entry.parse(entry) for entry in part] for part in (request, reply))
-        return CallBottles(self._registry, type_name, type_hash, asked, told, self.profile)
+        return self._chosen(request), self._chosen(reply)
+
+    def _chosen(self, fields: Sequence[int | float | str]) -> Content:
+        form: Form = "fields" if fields else "bottle"
+        return Content(form, tuple(Entry.parse(entry) for entry in fields), self.profile)
 
     def latched(self, topic: str) -> bool:
         """Whether the last message from YARP is kept for late joiners."""

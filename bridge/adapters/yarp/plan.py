@@ -34,7 +34,7 @@ class PortPlan:
         type: ROS 2 name; with the hash where it is not this machine's own definition.
         own: whether it is the topic's own port, to which anybody connects; else the ports in ``links`` alone count.
         source: the id of the endpoint that its messages count as, None for that of each peer.
-        rpc: it answers, for a service; ``topic`` is its name then.
+        reply: what it answers, for a service; ``topic`` is its name then, and ``content`` what it is asked.
     """
 
     name: str
@@ -46,7 +46,12 @@ class PortPlan:
     own: bool = True
     source: str | None = None
     links: Mapping[str, Link] = field(default_factory=dict, compare=False, hash=False)
-    rpc: bool = False
+    reply: Content | None = None
+
+    @property
+    def rpc(self) -> bool:
+        """Whether it answers."""
+        return self.reply is not None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from bridge.adapters.base import EdgeCaller, EdgeServer
 from bridge.adapters.yarp.asking import PortCaller
 from bridge.adapters.yarp.call_bottles import CallBottles
-from bridge.adapters.yarp.contents import BOTTLE, Contents
+from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.names import PortNames
 from bridge.adapters.yarp.plan import PortPlan
 from bridge.hub.call import Call
@@ -59,13 +59,12 @@ class Services:
 
     def plan(self, names: PortNames) -> dict[str, PortPlan]:
         """The ports that they need."""
-        found = self.served().values()
-        return {
-            (port := names.rpc(service.name)): PortPlan(
-                port, False, service.name, service.side_type.name, "", BOTTLE, rpc=True
-            )
-            for service in found
-        }
+        found: dict[str, PortPlan] = {}
+        for service in self.served().values():
+            port = names.rpc(service.name)
+            request, reply = self._contents.of_service(service.name)
+            found[port] = PortPlan(port, False, service.name, service.side_type.name, "", request, reply=reply)
+        return found
 
     def conversion(self, type_name: str, type_hash: str = "") -> ServiceConversion:
         """Requests and replies are checked; what each port carries is made of them, and of what comes they are made."""

@@ -17,6 +17,7 @@ def shown(plan: PortPlan, core: PortCore, generations: Generations) -> dict[str,
     for connection in connections:
         name = connection.route.target if plan.writes else connection.route.source
         peers.append(_peer(name, connection.carrier.name, connection.profile, plan, generations))
+    answers = {} if plan.reply is None else {"direction": "rpc", "replies": plan.reply.shown(plan.type)}
     return {
         "port": core.name,
         "direction": "out" if plan.writes else "in",
@@ -25,6 +26,7 @@ def shown(plan: PortPlan, core: PortCore, generations: Generations) -> dict[str,
         "carries": plan.content.shown(plan.type),
         "profile": plan.content.profile.value,
         "peers": sorted(peers, key=lambda peer: peer["port"]),
+        **answers,
     }
 
 

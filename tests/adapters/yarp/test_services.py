@@ -99,6 +99,8 @@ def test_chosen_fields_and_an_empty_reply(place: Place, robot: Robot) -> None:
     place.bridge(yarp={"services": [rule]})
     client = asking(place, "/midspan/lamp/rpc")
     assert client.ask(["set", 1], timeout=20) == ["is on"]
+    (port,) = [found for found in place.far.status()["ports"] if found["port"] == "/midspan/lamp/rpc"]
+    assert (port["direction"], port["carries"], port["replies"]) == ("rpc", "fields 'set' data", "fields message")
     failed = client.ask(["get", 1], timeout=20)
     assert failed[0] == Vocab("fail")
     assert "'set'" in failed[1]
