@@ -48,6 +48,12 @@ class TransformServerSection(ModuleSection):
         default=2.0, ge=0.0, le=60.0, description="Seconds that a stamp may be ahead of the clock; others are refused."
     )
 
+    buffer_server: bool = Field(
+        default=True,
+        description="Serve the action `/tf2_buffer_server` and the service `/tf2_frames`, by which tf2_ros's"
+        " `BufferClient` looks up transforms. Off where another program serves them.",
+    )
+
     @field_validator("prefix")
     @classmethod
     def _prefix_is_one(cls, value: str) -> str:

@@ -14,6 +14,7 @@ from bridge.hub.qos import Durability, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.tf.buffer import TransformBuffer
+from bridge.tf.server.buffer_server import BufferServer
 from bridge.tf.server.clock import YarpClock
 from bridge.tf.server.exchange import Exchange
 from bridge.tf.server.rpc import Getter, Setter, Streamed
@@ -54,6 +55,8 @@ class TransformServer(Module):
         host.node.subscription_cdr(TF_STATIC, TF_TYPE, hear_static, every)
         host.on_jump(self._exchange.forget_timed)
 
+        self._served = BufferServer(host.node, self._buffer) if section.buffer_server else None
+
         ports = section.prefix + SERVER
         host.yarp.serve(ports + SET, Setter(self._exchange))
         host.yarp.serve(ports + GET, Getter(self._exchange))
@@ -88,6 +91,7 @@ class TransformServer(Module):
         return {
             "frames": len(self._view),
             "frames_of_yarp": self._view.ours,
+            "lookups": self._served.status() if self._served is not None else {},
             "refused": dict(self._buffer.refused),
             "ignored": dict(self._exchange.ignored + self._view.left_out),
             "conflicts": [
