@@ -6,9 +6,11 @@ occupancy 0 to 100 or 255 for unknown; both zipped where ``compressed`` is 1, as
 
 from __future__ import annotations
 
+import logging
 import math
 import zlib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -26,6 +28,8 @@ from yarp_compat.wire.tags import INT8
 from yarp_compat.wire.writer import Writer
 
 __all__ = ["MAX_CELLS", "UNKNOWN", "MapFlag", "MapGrid2D", "flags_of", "occupancy_of", "too_large"]
+
+log = logging.getLogger(__name__)
 
 _LONGEST_NAME = 254  # YARP's reader has a buffer of so many bytes
 
@@ -277,6 +281,63 @@ class MapGrid2D(MapGrid2DInfo, Portable):
             return False
         self._occupancy = image.numpy().copy()
         return True
+
+    def loadFromFile(self, map_filename: str) -> bool:
+        """Become the map of a ``.map`` file; False, and a word in the log, where there is none."""
+        try:
+            found = type(self).load(map_filename)
+        except ValueError as error:
+            log.error("%s", error)
+            return False
+        found._compressed = self._compressed
+        self._become(found)
+        return True
+
+    def saveToFile(self, map_filename: str) -> bool:
+        """Write the map as YARP keeps it, see :meth:`save`; False, and a word in the log, where that fails."""
+        try:
+            self.save(map_filename)
+        except ValueError as error:
+            log.error("%s", error)
+            return False
+        return True
+
+    @classmethod
+    def load(cls, path: str | Path, jail: Path | None = None) -> Self:
+        """Read a map of YARP (``.map``) or of ROS (any other file, which is YAML).
+
+        Args:
+            path: the file; those that it names stand beside it, or where it says.
+            jail: a folder that all files must be in; by default they may be anywhere.
+
+        Raises:
+            MapFileError: a file is not there or wrong.
+        """
+        from yarp_compat.dev.rosmap import load_ros
+        from yarp_compat.dev.yarpmap import load_yarp
+
+        found = load_yarp(path, jail) if Path(path).suffix.lower() == ".map" else load_ros(path, jail)
+        made = cls()
+        made._become(found)  # type: ignore[arg-type] # what it takes over is the same
+        return made
+
+    def save(self, path: str | Path, **ros: Any) -> None:
+        """Write a map for YARP (``.map``), or for ROS (any other name, which should end with ``.yaml``).
+
+        Args:
+            path: the file; the others go beside it. Those of YARP are named after the map.
+            ros: as of :func:`yarp_compat.dev.rosmap.save_ros`.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        from yarp_compat.dev.rosmap import save_ros
+        from yarp_compat.dev.yarpmap import save_yarp
+
+        if Path(path).suffix.lower() == ".map":
+            save_yarp(self, path)
+        else:
+            save_ros(self, path, **ros)
 
     def enable_map_compression_over_network(self, enable: bool) -> bool:
         """Whether the cells are zipped on the wire."""

@@ -1,0 +1,280 @@
+"""Maps as ROS keeps them: a YAML file that names an image (http://wiki.ros.org/map_server, nav2_map_server's map_io).
+
+``image resolution origin: [x, y, yaw] negate occupied_thresh free_thresh mode``, with the yaw in radians. YARP writes
+``origin: [ x y theta ]``, without commas and in degrees, which no map server reads; here it is told by its look.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yarp_compat.dev.mapfile import MapFileError, file_name, found, read_text, write
+from yarp_compat.dev.mapflag import UNKNOWN, flags_of, looked_up
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapimage import grey_image, read_image
+from yarp_compat.dev.mapinfo import MapGrid2DOrigin
+
+MODES = ("trinary", "scale", "raw")
+_LONGEST = 1 << 16
+_UNKNOWN_GREY = 205
+
+
+@dataclass(frozen=True)
+class RosMapHeader:
+    """What the YAML file says.
+
+    Attributes:
+        image: the image's file.
+        resolution: metres per cell.
+        origin: the place of the lower left corner, as it stands there.
+        degrees: the origin is YARP's, whose third number is its theta in degrees, and not ROS's yaw in radians.
+        negate: white is occupied, not black.
+        occupied_thresh: pixels that are more surely occupied are occupied, 0 to 1.
+        free_thresh: those that are less so are free. Map servers take unknown cells (205, which is 0.19608) for free
+            with YARP's 0.2 or Nav2's 0.25.
+        mode: ``trinary`` (what is between is unknown), ``scale`` (a part of the way between, transparent is unknown) or
+            ``raw`` (the pixel's number is the occupancy, above 100 unknown).
+    """
+
+    image: str
+    resolution: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    degrees: bool = False
+    negate: bool = False
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.196
+    mode: str = "trinary"
+
+    def to_text(self) -> str:
+        """The YAML file."""
+        origin = ", ".join(map(decimal, self.origin))
+        return (
+            f"image: {_scalar(self.image)}\nmode: {self.mode}\nresolution: {decimal(self.resolution)}\n"
+            f"origin: [{origin}]\nnegate: {int(self.negate)}\n"
+            f"occupied_thresh: {decimal(self.occupied_thresh)}\nfree_thresh: {decimal(self.free_thresh)}\n"
+        )
+
+
+def load_ros(path: str | Path, jail: Path | None = None, name: str = "") -> MapGrid2D:
+    """Read a map of ROS.
+
+    The flags are those that YARP gives such a map: free below 50, wall from there on, unknown.
+
+    Args:
+        path: the YAML file.
+        jail: a folder that all files must be in.
+        name: the map's; by default the YAML file's.
+
+    Raises:
+        MapFileError: a file is not there or wrong.
+    """
+    file = found(path, Path(), jail)
+    header = read_header(file)
+    occupancy = occupancy_of_image(read_image(found(header.image, file.parent, jail)), header)
+    origin = MapGrid2DOrigin(*header.origin) if header.degrees else MapGrid2DOrigin.from_ros(*header.origin)
+    return MapGrid2D.of(
+        flags_of(occupancy), occupancy, name=name or file.stem, resolution=header.resolution, origin=origin
+    )
+
+
+def save_ros(
+    grid: MapGrid2D,
+    path: str | Path,
+    *,
+    image: str = "pgm",
+    mode: str = "",
+    negate: bool = False,
+    occupied_thresh: float = 0.65,
+    free_thresh: float = 0.196,
+) -> None:
+    """Write a map as ROS keeps it: its occupancy, and no flags.
+
+    Args:
+        grid: the map.
+        path: the YAML file; the image stands beside it, under the same name.
+        image: its kind: ``pgm``, ``png`` or ``bmp``.
+        mode: as of :class:`RosMapHeader`; by default ``trinary``, or ``raw`` where the map has an occupancy that gets
+            lost there. ``scale`` is for png, which can say what is unknown.
+        negate: paint occupied cells white; not in ``raw``.
+        occupied_thresh: as of :class:`RosMapHeader`.
+        free_thresh: as of :class:`RosMapHeader`.
+
+    Raises:
+        MapFileError: it cannot be written so.
+    """
+    file = Path(path)
+    if image not in ("pgm", "png", "bmp"):
+        raise MapFileError(f"images of maps are pgm, png or bmp, not {image!r:.30}")
+    mode = mode or ("trinary" if np.isin(grid.occupancy, (0, 100, UNKNOWN)).all() else "raw")
+    header = RosMapHeader(
+        f"{file_name(file.stem)}.{image}", grid.resolution, grid.origin.to_ros(), negate=negate and mode != "raw",
+        occupied_thresh=occupied_thresh, free_thresh=free_thresh, mode=mode,
+    )  # fmt: skip
+    _check(header, file)
+    if mode == "scale" and image != "png":
+        raise MapFileError(f"the mode scale needs png images, which can say what is unknown, not {image}")
+    write(file.with_name(header.image), grey_image(image, _painted(grid.occupancy, header)))
+    write(file, header.to_text())
+
+
+def read_header(path: Path) -> RosMapHeader:
+    """What a YAML file says.
+
+    Raises:
+        MapFileError: it is none of a map.
+    """
+    said = _mapping(path)
+    for key in ("image", "resolution", "origin"):
+        if key not in said:
+            raise MapFileError(f"{path} says no {key}")
+    if not isinstance(said["image"], str) or not said["image"]:
+        raise MapFileError(f"{path}: image is a file's name, not {said['image']!r:.60}")
+    origin, degrees = _origin(said["origin"], path)
+    header = RosMapHeader(
+        said["image"],
+        _number(said, "resolution", path, 0.0),
+        origin,
+        degrees,
+        bool(_number(said, "negate", path, 0.0)),
+        _number(said, "occupied_thresh", path, RosMapHeader.occupied_thresh),
+        _number(said, "free_thresh", path, RosMapHeader.free_thresh),
+        str(said.get("mode", "trinary")).lower(),
+    )
+    _check(header, path)
+    return header
+
+
+def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np.uint8]:
+    """What a map server takes for the occupancy of pixels, 0 to 100 or 255.
+
+    Args:
+        pixels: as of :func:`yarp_compat.dev.mapimage.read_image`.
+        header: how they are meant. In ``trinary`` the opacity counts as a colour, as in the map servers.
+    """
+    if pixels.ndim == 2:
+        table = _meant(np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max, header)
+        return looked_up(pixels, table) if pixels.dtype == np.uint8 else table[pixels]
+    channels = 4 if header.mode == "trinary" and pixels.shape[2] == 4 else 3
+    sums = pixels[..., 0].astype(np.uint16)
+    for channel in range(1, channels):
+        sums += pixels[..., channel]
+    occupancy = _meant(np.arange(255 * channels + 1) / (255 * channels), header)[sums]
+    if header.mode == "scale" and pixels.shape[2] == 4:
+        occupancy[pixels[..., 3] < 255] = UNKNOWN
+    return occupancy
+
+
+def decimal(number: float) -> str:
+    """A number without an exponent, which some readers of YAML take for a word; it comes back exactly."""
+    return np.format_float_positional(number, trim="0")
+
+
+def _meant(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint8]:
+    """The occupancy of shades from 0 (black) to 1."""
+    if header.mode == "raw":
+        numbers = np.round(shades * 255)
+        return np.where(numbers <= 100, numbers, UNKNOWN).astype(np.uint8)
+    occupied = shades if header.negate else 1.0 - shades
+    between = np.full(len(shades), UNKNOWN)
+    if header.mode == "scale":
+        room = max(header.occupied_thresh - header.free_thresh, 1e-9)
+        between = np.clip(np.rint((occupied - header.free_thresh) / room * 100), 0, 100)
+    ends = np.where(occupied > header.occupied_thresh, 100, np.where(occupied < header.free_thresh, 0, between))
+    return ends.astype(np.uint8)
+
+
+def _painted(occupancy: NDArray[np.uint8], header: RosMapHeader) -> NDArray[np.uint8]:
+    """The pixels that are read back as this occupancy."""
+    cells = np.arange(256)
+    known = cells <= 100
+    if header.mode == "raw":
+        return looked_up(occupancy, np.where(known, cells, 255).astype(np.uint8))
+    if header.mode == "scale":
+        part = header.free_thresh + cells / 100 * (header.occupied_thresh - header.free_thresh)
+        greys = np.where(cells == 0, 255, np.where(cells >= 100, 0, np.round(255 * (1 - part))))
+    else:
+        greys = np.where(cells <= header.free_thresh * 100, 254, _UNKNOWN_GREY)
+        greys = np.where(known & (cells >= header.occupied_thresh * 100), 0, greys)
+        greys = np.where(known, greys, _UNKNOWN_GREY)
+    table = (255 - greys if header.negate else greys).clip(0, 255).astype(np.uint8)
+    if header.mode == "trinary":
+        return looked_up(occupancy, table)
+    pixels = np.empty((*occupancy.shape, 4), np.uint8)
+    pixels[..., :3] = looked_up(occupancy, table)[..., None]
+    pixels[..., 3] = looked_up(occupancy, (known * 255).astype(np.uint8))
+    return pixels
+
+
+def _check(header: RosMapHeader, path: Path) -> None:
+    if not header.resolution > 0:
+        raise MapFileError(f"{path}: resolution is metres per cell above 0, not {header.resolution}")
+    if header.mode not in MODES:
+        raise MapFileError(f"{path}: mode is {', '.join(MODES)}, not {header.mode!r:.30}")
+    if not 0 <= header.free_thresh <= header.occupied_thresh <= 1:
+        raise MapFileError(
+            f"{path}: 0 <= free_thresh <= occupied_thresh <= 1 does not hold for {header.free_thresh} and "
+            f"{header.occupied_thresh}"
+        )
+
+
+def _mapping(path: Path) -> Mapping[str, Any]:
+    """A YAML file's content: no aliases, which a few bytes make huge, and nothing deep."""
+    import yaml
+
+    text = read_text(path)
+    if len(text) > _LONGEST:
+        raise MapFileError(f"{path} is longer than {_LONGEST} characters, too long for a map's YAML file")
+    depth = 0
+    try:
+        for event in yaml.parse(text, yaml.SafeLoader):
+            if isinstance(event, yaml.AliasEvent):
+                raise MapFileError(f"{path}: a map's YAML file has no aliases (*{event.anchor})")
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > 8:
+                raise MapFileError(f"{path}: a map's YAML file has no lists so deep within each other")
+        said = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        if isinstance(error, MapFileError):
+            raise
+        raise MapFileError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(said, dict):
+        raise MapFileError(f"{path} is no YAML file of a map: it has no keys")
+    return said
+
+
+def _origin(said: Any, path: Path) -> tuple[tuple[float, float, float], bool]:
+    words = said if isinstance(said, list) else [said]
+    degrees = len(words) == 1 and isinstance(words[0], str)
+    if degrees:
+        words = words[0].split()
+    try:
+        x, y, angle = (float(word) for word in words)
+        if math.isfinite(x) and math.isfinite(y) and math.isfinite(angle):
+            return (x, y, angle), degrees
+    except (TypeError, ValueError):
+        pass
+    raise MapFileError(f"{path}: origin is [x, y, yaw], three numbers, not {said!r:.60}")
+
+
+def _number(said: Mapping[str, Any], key: str, path: Path, default: float) -> float:
+    try:
+        number = float(said.get(key, default))
+        if math.isfinite(number):
+            return number
+    except (TypeError, ValueError):
+        pass
+    raise MapFileError(f"{path}: {key} is a number, not {said[key]!r:.60}")
+
+
+def _scalar(text: str) -> str:
+    """A text as a YAML scalar, in the quotes that YARP knows too where it needs them."""
+    if text.replace("_", "a").replace("-", "a").replace(".", "a").isalnum() and text.isascii():
+        return text
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,139 @@
+"""Maps as YARP keeps them: a ``.map`` file that names an image of flags and a map of ROS (`yarp/dev/MapGrid2D.cpp`).
+
+``MapName``, ``YarpMapData`` (the image), ``RosMapData`` (the YAML file), at least one of the two; ``resolution`` and
+``origin (x y theta)`` go before what the YAML file says.
+
+YARP takes the yaw of a YAML file for its theta, though it turns maps the other way. To be read rightly by YARP and by
+map servers both, a map that is turned is written with its ``origin`` in the ``.map`` file, and with ROS's in the YAML.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yarp_compat.dev.mapcolours import GREYS, OCCUPANCIES, flags_of_picture, picture_of_flags
+from yarp_compat.dev.mapfile import MapFileError, file_name, found, read_text, write
+from yarp_compat.dev.mapflag import flags_of, looked_up, occupancy_of
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapimage import read_image, write_colours, write_greys
+from yarp_compat.dev.rosmap import RosMapHeader, decimal, occupancy_of_image, read_header
+
+_LINE = re.compile(r'\s*(\w+)\s*=?\s*("(?:[^"\\]|\\.)*"|\([^)]*\)|\S+)')
+
+
+def load_yarp(path: str | Path, jail: Path | None = None) -> MapGrid2D:
+    """Read a map of YARP.
+
+    Args:
+        path: the ``.map`` file.
+        jail: a folder that all files must be in.
+
+    Raises:
+        MapFileError: a file is not there or wrong.
+    """
+    file = found(path, Path(), jail)
+    said = _settings(read_text(file))
+    if "MapName" not in said:
+        raise MapFileError(f"{file} says no MapName")
+    if not said.keys() & {"YarpMapData", "RosMapData"}:
+        raise MapFileError(f"{file} says neither YarpMapData nor RosMapData")
+    flags = occupancy = None
+    header = RosMapHeader("", 1.0)
+    if "YarpMapData" in said:
+        flags = _flags(found(said["YarpMapData"], file.parent, jail))
+    if "RosMapData" in said:
+        yaml = found(said["RosMapData"], file.parent, jail)
+        header = read_header(yaml)
+        image = found(header.image, yaml.parent, jail)
+        occupancy = _occupancy(image, header, painted=flags is not None)
+    header = _overridden(header, said, file)
+    if flags is None:
+        assert occupancy is not None
+        flags = flags_of(occupancy)
+    elif occupancy is None:
+        occupancy = occupancy_of(flags)
+    elif flags.shape != occupancy.shape:
+        raise MapFileError(
+            f"{file}: the flags are {flags.shape[1]} x {flags.shape[0]} cells, the occupancy {occupancy.shape[1]} x "
+            f"{occupancy.shape[0]}"
+        )
+    x, y, angle = header.origin
+    theta = angle if header.degrees else float(np.degrees(angle))
+    return MapGrid2D.of(flags, occupancy, name=said["MapName"], resolution=header.resolution, origin=(x, y, theta))
+
+
+def save_yarp(grid: MapGrid2D, path: str | Path) -> None:
+    """Write a map for YARP: the ``.map`` file and, named after the map, three more beside it.
+
+    Raises:
+        MapFileError: the map's name cannot be a file's, or a file cannot be written.
+    """
+    file = Path(path)
+    name = file_name(grid.name)
+    header = RosMapHeader(f"{name}_grid.pgm", grid.resolution, grid.origin.to_ros())
+    write_colours(file.with_name(f"{name}_yarpflags.ppm"), picture_of_flags(grid.flags))
+    write_greys(file.with_name(header.image), looked_up(grid.occupancy, GREYS))
+    write(file.with_name(f"{name}_grid.yaml"), header.to_text())
+    lines = [
+        f"MapName {_word(name)}", f"YarpMapData {_word(name + '_yarpflags.ppm')}",
+        f"RosMapData {_word(name + '_grid.yaml')}",
+    ]  # fmt: skip
+    if grid.origin.theta:
+        lines.append(f"origin ({' '.join(map(decimal, grid.getOrigin()))})")
+    write(file, "\n".join(lines) + "\n")
+
+
+def _settings(text: str) -> dict[str, str]:
+    """The first value of each key."""
+    said: dict[str, str] = {}
+    for line in text.splitlines():
+        if line.lstrip().startswith(("#", "//")):
+            continue
+        match = _LINE.match(line)
+        if match:
+            key, value = match.groups()
+            said.setdefault(key, re.sub(r"\\(.)", r"\1", value[1:-1]) if value[0] == '"' else value)
+    return said
+
+
+def _word(text: str) -> str:
+    """A word of the file, quoted where it needs it."""
+    if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", text):
+        return text
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _flags(path: Path) -> NDArray[np.uint8]:
+    pixels = read_image(path)
+    if pixels.dtype != np.uint8:
+        raise MapFileError(f"{path}: an image of flags has colours of 8 bits")
+    if pixels.ndim == 2:
+        pixels = np.repeat(pixels[..., None], 3, axis=2)
+    return flags_of_picture(pixels[..., :3])
+
+
+def _occupancy(path: Path, header: RosMapHeader, *, painted: bool) -> NDArray[np.uint8]:
+    """The occupancy of an image: in YARP's greys where it stands beside one of flags, else as a map server reads it."""
+    pixels = read_image(path)
+    if painted and pixels.ndim == 2 and pixels.dtype == np.uint8 and header.mode == "trinary" and not header.negate:
+        return looked_up(pixels, OCCUPANCIES)
+    return occupancy_of_image(pixels, header)
+
+
+def _overridden(header: RosMapHeader, said: dict[str, str], file: Path) -> RosMapHeader:
+    try:
+        if "resolution" in said:
+            header = replace(header, resolution=float(said["resolution"]))
+        if "origin" in said:
+            x, y, theta = (float(word) for word in re.split(r"[\s,]+", said["origin"].strip("() \t")))
+            header = replace(header, origin=(x, y, theta), degrees=True)
+    except ValueError:
+        raise MapFileError(f"{file}: resolution is a number and origin (x y theta), three of them") from None
+    if not all(map(np.isfinite, (header.resolution, *header.origin))) or header.resolution <= 0:
+        raise MapFileError(f"{file}: no map has the resolution {header.resolution} and the origin {header.origin}")
+    return header
