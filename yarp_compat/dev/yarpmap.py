@@ -23,7 +23,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapimage import read_image, write_colours, write_greys
 from yarp_compat.dev.rosmap import RosMapHeader, decimal, occupancy_of_image, read_header
 
-_LINE = re.compile(r'\s*(\w+)\s*=?\s*("(?:[^"\\]|\\.)*"|\([^)]*\)|\S+)')
+_LINE = re.compile(r'\s*(\w+)(?:\s*=\s*|\s+)("(?:[^"\\]|\\.)*"|.*?)\s*(?:\s(?:#|//).*)?$')
 
 
 def load_yarp(path: str | Path, jail: Path | None = None) -> MapGrid2D:
@@ -89,13 +89,11 @@ def save_yarp(grid: MapGrid2D, path: str | Path) -> None:
 
 
 def _settings(text: str) -> dict[str, str]:
-    """The first value of each key."""
+    """The first value of each key: all of its line, as YARP writes names of several words without quotes."""
     said: dict[str, str] = {}
     for line in text.splitlines():
-        if line.lstrip().startswith(("#", "//")):
-            continue
         match = _LINE.match(line)
-        if match:
+        if match and match[2]:
             key, value = match.groups()
             said.setdefault(key, re.sub(r"\\(.)", r"\1", value[1:-1]) if value[0] == '"' else value)
     return said
