@@ -6,13 +6,14 @@ import contextlib
 import importlib
 import itertools
 import json
+import os
 import signal
 import sys
 import threading
 import time
 from array import array
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TextIO
 
 import rclpy
 import rclpy.utilities
@@ -231,7 +232,7 @@ def end(_number: int, _frame: Any) -> None:
     raise EndedError
 
 
-def obey(peer: Peer) -> None:
+def obey(peer: Peer, answers: TextIO) -> None:
     """Carry out commands until ``exit`` or the end of the input."""
     for line in sys.stdin:
         params = json.loads(line)
@@ -243,11 +244,13 @@ def obey(peer: Peer) -> None:
             raise
         except Exception as err:
             answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        print(json.dumps(answer), flush=True)
+        answers.write(json.dumps(answer) + "\n")
 
 
 def main(make: Callable[[Any], Peer] = Peer) -> None:
     """Obey the commands on standard input until it ends."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what Fast DDS prints, of a port's lock for example, is not an answer
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: Any = rclpy.create_node(sys.argv[1] if len(sys.argv) > 1 else "peer")
     executor = SingleThreadedExecutor()
@@ -256,7 +259,7 @@ def main(make: Callable[[Any], Peer] = Peer) -> None:
     spinner.start()
     with contextlib.suppress(EndedError):
         signal.signal(signal.SIGTERM, end)
-        obey(make(node))
+        obey(make(node), answers)
     executor.shutdown(1.0)
     spinner.join(2)
     node.destroy_node()

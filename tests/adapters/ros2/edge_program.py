@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,8 @@ class Program:
 
 def main() -> None:
     """Obey the commands on standard input until it ends."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what Fast DDS prints is not an answer
     program = Program(Config.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
     for line in sys.stdin:
         params = json.loads(line)
@@ -94,7 +97,7 @@ def main() -> None:
             answer = {"ok": True, **getattr(program, do)(**params)}
         except Exception as err:
             answer = {"ok": False, "error": f"{type(err).__name__}: {err}"}
-        print(json.dumps(answer), flush=True)
+        answers.write(json.dumps(answer) + "\n")
     program.edge.stop()
 
 
