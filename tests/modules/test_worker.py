@@ -8,72 +8,20 @@ from typing import Any
 
 import pytest
 
-from bridge.config.model import Config
-from bridge.hub.session import Hub
-from bridge.messages.registry import Registry
 from bridge.modules.worker import ModulesWorker
-from tests.contract.hubside import HubSide
-from tests.support.ports import free_port
-from tests.support.quick_hub import QuickHub
+from tests.modules.place import STRING, Place
 from tests.support.wait import until
 from yarp_compat.naming import connections
-from yarp_compat.naming.client import NameClient
-from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
 
-STRING = "std_msgs/String"
 ECHO = "tests.modules.echo:Echo"
-
-
-class Place:
-    """A hub, a worker, and a place for a name server."""
-
-    def __init__(self, folder: Path) -> None:
-        self.hubs = QuickHub()
-        self.folder, self.port = folder, free_port()
-        self.worker = ModulesWorker()
-        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
-        self.names = NameClient(Address("127.0.0.1", self.port), namespace="/root")
-
-    def config(self, *own: dict[str, Any], **sections: Any) -> Config:
-        yarp = {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"}
-        return Config.model_validate({
-            "name": "here",
-            "state": self.folder,
-            "hub": {"listen": self.hubs.endpoint},
-            "yarp": yarp,
-            "modules": {"own": list(own)},
-            **sections,
-        })  # fmt: skip
-
-    def status(self, name: str) -> dict[str, Any] | None:
-        answers = self.far.hub.ask("status", {}, worker=name)
-        return next((a.value for a in answers if isinstance(a.value, dict)), None)
-
-    def hears(self, said: str, heard: int, text: str) -> None:
-        """Say something on ``/heard`` until the answer is there."""
-        out = self.far.advertise("/heard", STRING)
-
-        def once() -> bool:
-            self.far.publish(out, {"data": said})
-            return text in {m["data"] for m in self.far.wait(heard, 1, 0.2)}
-
-        until(once, f"{text} is heard", 20)
-
-    def close(self) -> None:
-        self.worker.stop()
-        self.far.hub.close()
-        self.hubs.stop_router()
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    made = Place(tmp_path)
-    try:
+    with Place(tmp_path) as made:
         yield made
-    finally:
-        made.close()
 
 
 def echo(name: str = "echo", **options: Any) -> dict[str, Any]:
