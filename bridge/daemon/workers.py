@@ -58,7 +58,7 @@ class WorkerKind:
         if self.name == "yarp" and config.yarp.enabled == "auto" and self.missing(config):
             return False
         if self.name == "modules":
-            return config.modules.enabled if config.modules.sections else False
+            return config.modules.enabled if config.modules.sections or config.store.enabled is True else False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
     def missing(self, config: Config) -> str:
@@ -104,7 +104,9 @@ WORKERS = (
     _side("yarp"),
     _side("zenoh"),
     WorkerKind(
-        "modules", "bridge.modules.worker:ModulesWorker", sections=frozenset({"modules", "types", "limits", "yarp"})
+        "modules",
+        "bridge.modules.worker:ModulesWorker",
+        sections=frozenset({"modules", "store", "types", "limits", "yarp"}),
     ),
 )
 

@@ -20,6 +20,7 @@ from bridge.hub.errands import Errands
 from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
 from bridge.hub.keyexpr import subscription_key, topic_key
+from bridge.hub.keyspace import KeySpace
 from bridge.hub.liveliness import (
     BRIDGE_ENCLAVE,
     EndpointKind,
@@ -107,6 +108,7 @@ class Hub:
         self._closed = False
         self._ids = itertools.count(1)
         self._endpoints: set[HubPublisher | HubSubscription | HubServer | HubClient] = set()
+        self._spaces: list[KeySpace] = []
         self._origin: tuple[Origin, Callable[[], None]] | None = None
         self._node = NodeToken(settings.domain, self.zid, "0", settings.namespace, settings.node)
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
@@ -256,6 +258,14 @@ class Hub:
             self._endpoints.add(client)
             return client
 
+    def keyspace(self, prefix: str) -> KeySpace:
+        """Plain zenoh keys beneath a prefix; closed with the session where not before."""
+        with self._lock:
+            self._check_open()
+            space = KeySpace(self._session, prefix, self.max_payload)
+            self._spaces.append(space)
+            return space
+
     def serve(self, verb: str, handler: Handler) -> Callable[[], None]:
         """Answer a verb of the control plane for this daemon and worker, until the returned function is called."""
         with self._lock:
@@ -279,6 +289,8 @@ class Hub:
         # the endpoints leave the graph before the origin and the node do
         for endpoint in tuple(self._endpoints):
             endpoint.close()
+        for space in self._spaces:
+            space.close()
         self._errands.close()
         self.graph.close()
         self._control.close()

@@ -16,10 +16,19 @@ from bridge.messages.registry import Registry
 from bridge.modules.loop import ClockTimer, Loop, Timer
 from bridge.modules.node import Node
 from bridge.modules.ports import Ports
+from bridge.stores.errors import StoreError
+from bridge.stores.service import StoreService
+from bridge.stores.store import Store
 
 
 class Host:
     """All that a module needs of the outside. One for each start of a module.
+
+    Args:
+        name: the module's.
+        config: the whole configuration.
+        registry: of types.
+        stores: the process's store, where it has one; it stays open when the module stops.
 
     Attributes:
         config: the whole configuration.
@@ -30,8 +39,9 @@ class Host:
         log: its logger.
     """
 
-    def __init__(self, name: str, config: Config, registry: Registry) -> None:
+    def __init__(self, name: str, config: Config, registry: Registry, stores: StoreService | None = None) -> None:
         self.name, self.config = name, config
+        self._stores = stores
         self.log = logging.getLogger(f"midspan.{name}")
         self.loop = Loop(f"midspan-{name}")
         hub = Hub.open(
@@ -58,6 +68,19 @@ class Host:
         folder = worker_folder(self.config) / self.name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
+
+    @property
+    def store(self) -> Store:
+        """The store of maps and locations, one for all modules of the process; opened where it is not yet.
+
+        What is watched there is withdrawn by the module itself when it stops.
+
+        Raises:
+            StoreError: it is switched off, or its file cannot be used.
+        """
+        if self._stores is None:
+            raise StoreError("this process has no store")
+        return self._stores.store
 
     def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
         """Run an action every so many seconds of the run's clock, on the module's thread."""

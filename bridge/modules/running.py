@@ -17,6 +17,7 @@ from bridge.messages.errors import MessageError
 from bridge.messages.registry import Registry
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.stores.service import StoreService
 from bridge.worker import Health, costs
 
 _log = logging.getLogger(__name__)
@@ -32,11 +33,20 @@ class Running:
         section: its section of the configuration.
         config: the whole configuration.
         registry: of types.
+        stores: the process's store, where it has one.
     """
 
-    def __init__(self, kind: type[Module], name: str, section: Section, config: Config, registry: Registry) -> None:
+    def __init__(
+        self,
+        kind: type[Module],
+        name: str,
+        section: Section,
+        config: Config,
+        registry: Registry,
+        stores: StoreService | None = None,
+    ) -> None:
         self.name, self.section = name, section
-        self._kind, self._config, self._registry = kind, config, registry
+        self._kind, self._config, self._registry, self._stores = kind, config, registry, stores
         self._backoff = Backoff()
         self._again = 0.0
         self._trouble = ""
@@ -49,7 +59,7 @@ class Running:
         """Start the module; where it fails, it is tried again later (`health`)."""
         self._started = time.monotonic()
         try:
-            host = self._host = Host(self.name, self._config, self._registry)
+            host = self._host = Host(self.name, self._config, self._registry, self._stores)
             module = self._module = self._kind()
             host.loop.start()
             host.loop.call(lambda: module.start(host, self.section), seconds=30.0)

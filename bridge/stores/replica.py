@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +126,12 @@ class Replica:
                 name for (each, name), known in self._known.items() if each == kind and known.size is not None
             )
 
+    def stamp(self, key: Key) -> Stamp | None:
+        """When a key was written or deleted last, as far as this is remembered."""
+        with self._lock:
+            known = self._known.get(key)
+            return None if known is None else known.version.stamp
+
     def has(self, kind: str, name: str) -> bool:
         """Whether a key has a value."""
         with self._lock:
@@ -174,6 +180,10 @@ class Replica:
         with self._lock:
             self._check_open()
             known = self._known.get(entry.key)
+            if not entry.version.seen:  # of a program that knows zenoh alone: it changes what it finds
+                before = None if known is None else known.version
+                version = follow(before, entry.version.stamp, entry.version.origin)
+                entry = replace(entry, version=version)
             if known is not None:
                 if known.version.stamp == entry.version.stamp:
                     return False

@@ -5,12 +5,12 @@ What is written is on the disk when the call returns, and on its way to the othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from bridge.stores.errors import StoreError
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, KINDS, MAP, Kind
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP, Kind
 from bridge.stores.names import check_name
 from bridge.stores.replica import Body, Change, Heard, Key, Replica
 from yarp_compat.dev.area_behaviour import AreaBehaviour
@@ -103,12 +103,7 @@ class Store:
         for each in writes:
             kind, name = each.kind, check_name(each.name)
             changes[kind.name, name] = None if each.value is None else kind.encode(name, each.value)
-            if each.value is None and kind.name in _BESIDE:
-                changes.setdefault((_BESIDE[kind.name].name, name), None)
-        with self.replica.still():
-            # what is not there is not deleted again
-            changes = {key: body for key, body in changes.items() if body is not None or self.replica.has(*key)}
-            self.replica.write(changes)
+        write_all(self.replica, changes)
 
     def behaviour(self, area: str) -> AreaBehaviour:
         """What an area asks of robots: as it is kept beside it, else as its description says; nothing by default."""
@@ -145,9 +140,14 @@ class Store:
         return self.replica.status()
 
 
-def kind_named(name: str) -> Kind[Any]:
-    """A kind by its name; raises `StoreError`."""
-    if name not in KINDS:
-        msg = f"the store holds no {name!r:.40}; what it holds: {', '.join(KINDS)}"
-        raise StoreError(msg)
-    return KINDS[name]
+def write_all(replica: Replica, changes: Mapping[Key, Body | None]) -> None:
+    """Write what was checked already; what goes beside a deleted key goes too, and what is not there stays so.
+
+    Raises:
+        StoreError: the store is full, or its file cannot be written; nothing has changed.
+    """
+    beside = {
+        (_BESIDE[kind].name, name): None for (kind, name), body in changes.items() if not body and kind in _BESIDE
+    }
+    with replica.still():
+        replica.write({key: body for key, body in (beside | dict(changes)).items() if body or replica.has(*key)})

@@ -1,0 +1,333 @@
+"""A replica on the hub: tells the others what is written here, takes what they write, and aligns with who comes back.
+
+Beneath ``midspan/store/<domain>/``::
+
+    <kind>/<name>               the values, as puts and deletes, and for whoever asks; wildcards are fine
+    @sync/alive/<zid>/<daemon>  a token for each replica
+    @sync/digest/<zid>          asks a replica where it has other versions than these digests tell
+    @sync/fetch/<zid>/**        asks it for entries; each answer is under .../<kind>/<name>
+    @sync/write/<zid>           asks it to write (`bridge.stores.client`)
+
+A key that starts with ``@`` is not heard by those who listen to everything, and a machine that the door does not trust
+can ask for values and digests but neither write nor answer (`bridge.hub.trust`).
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from bridge.hub.errands import Errands
+from bridge.hub.errors import HubError
+from bridge.hub.keyspace import KeyItem, KeySpace, Question
+from bridge.stores.entry import Entry
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import KINDS
+from bridge.stores.replica import Body, Key, Replica
+from bridge.stores.store import write_all
+from bridge.stores.wire import BUCKETS, bucket, digests, entry_of, item_of, key_of, stamp_of, version_of
+
+_log = logging.getLogger(__name__)
+
+PERIOD = 30.0
+"""Seconds after which a replica compares itself with the others, though nothing told it to."""
+
+_AGAIN = 1.0
+_MOST_TRIES = 5
+_MOST_WAITING = 1000
+"""Samples and questions that wait to be looked at; a sample beyond is left to the next comparison."""
+
+_BATCH_KEYS, _BATCH_BYTES = 200, 64 << 20
+_MOST_KEYS = 100_000
+_MOST_WRITE = 1 << 20
+
+
+class Share:
+    """See the module. Begins at once.
+
+    Args:
+        replica: this machine's copy.
+        space: the keys beneath `bridge.stores.wire.prefix`; closed with the share.
+        zid: the hub session's id.
+        period: seconds between comparisons.
+    """
+
+    def __init__(self, replica: Replica, space: KeySpace, zid: str, period: float = PERIOD) -> None:
+        self._replica, self._space, self._zid, self._period = replica, space, zid, period
+        self._serving = Errands("store-serving")
+        self._sending = Errands("store-sending")
+        self._unsent: dict[Key, None] = {}
+        self._waiting = 0
+        self._others: dict[str, str] = {}
+        self._due: dict[str, int] = {}
+        self.refused = 0
+        self._wake = threading.Condition()
+        self._closed = False
+        self._aligning = threading.Thread(target=self._run, name="store-aligning", daemon=True)
+        self._withdraw = replica.on_write(self._written)
+        space.hear("*/*", self._heard)
+        space.serve("*/*", lambda question: self._asked(question, self._answer_values), complete=True)
+        for verb, answer in (
+            (f"digest/{zid}", self._answer_digest),
+            (f"fetch/{zid}/**", self._answer_fetch),
+            (f"write/{zid}", self._answer_write),
+        ):
+            space.serve(f"@sync/{verb}", lambda question, answer=answer: self._asked(question, answer))  # type: ignore[misc]
+        space.announce(f"@sync/alive/{zid}/{replica.origin}")
+        space.watch("@sync/alive/*/*", self._came_or_went)
+        self._aligning.start()
+
+    def others(self) -> list[str]:
+        """The daemons whose replicas are reached now."""
+        with self._wake:
+            return sorted(self._others.values())
+
+    def align(self) -> None:
+        """Compare with all others soon."""
+        with self._wake:
+            self._due.update(dict.fromkeys(self._others, 0))
+            self._wake.notify()
+
+    def close(self) -> None:
+        """Send what waits, and leave the hub."""
+        self._withdraw()
+        self._sending.close()
+        with self._wake:
+            self._closed = True
+            self._wake.notify()
+        self._space.close()
+        self._serving.close()
+        self._aligning.join(2.0)
+
+    # What is written here
+
+    def _written(self, entries: Sequence[Entry]) -> None:
+        with self._wake:
+            for entry in entries:
+                if entry.key not in self._unsent:
+                    self._unsent[entry.key] = None
+                    self._sending.send(self._send_one)
+
+    def _send_one(self) -> None:
+        with self._wake:
+            key = next(iter(self._unsent))
+            del self._unsent[key]
+        entry = self._replica.entry(*key)
+        if entry is not None:
+            self._space.send(item_of(entry))
+
+    # What others write
+
+    def _heard(self, item: KeyItem) -> None:
+        with self._wake:
+            full = self._waiting >= _MOST_WAITING
+            self._waiting += not full
+            if full:
+                self._due.update(dict.fromkeys(self._others, 0))
+                self._wake.notify()
+        if not full:
+            self._serving.send(lambda: self._take_waiting(item))
+
+    def _take_waiting(self, item: KeyItem) -> None:
+        with self._wake:
+            self._waiting -= 1
+        self._take(item, item.key)
+
+    def _take(self, item: KeyItem, text: str) -> None:
+        try:
+            key = key_of(text)
+            if not item.attached and not item.ns:
+                item = replace(item, ns=time.time_ns(), writer=self._replica.id)
+            if self._replica.stamp(key) != version_of(item).stamp:
+                self._replica.merge(entry_of(item, key))
+        except StoreError as err:
+            with self._wake:
+                self.refused += 1
+            _log.warning("%s is not taken: %s", text[:300], err)
+
+    # What others ask
+
+    def _asked(self, question: Question, answer: Any) -> None:
+        with self._wake:
+            full = self._waiting >= _MOST_WAITING
+            self._waiting += not full
+        if full:
+            question.fail("the store has too many questions at once; ask again later")
+            question.end()
+        else:
+            self._serving.send(lambda: self._answer_waiting(question, answer))
+
+    def _answer_waiting(self, question: Question, answer: Any) -> None:
+        with self._wake:
+            self._waiting -= 1
+        try:
+            answer(question)
+        except StoreError as err:
+            question.fail(str(err))
+        finally:
+            question.end()
+
+    def _answer_values(self, question: Question) -> None:
+        wanted = question.key
+        keys = [wanted] if "*" not in wanted else ["/".join(key) for key in self._replica.versions()]
+        for text in keys:
+            if question.asks_for(text):
+                entry = self._replica.entry(*key_of(text))
+                if entry is not None and entry.body is not None:
+                    question.reply(item_of(entry))
+
+    def _answer_digest(self, question: Question) -> None:
+        theirs = _texts(_json(question.body), "digests", BUCKETS)
+        versions = self._replica.versions()
+        ours = digests(versions)
+        differ = {number for number in range(BUCKETS) if number >= len(theirs) or theirs[number] != ours[number]}
+        found = [
+            [*key, stamp.ns, stamp.replica, size] for key, (stamp, size) in versions.items() if bucket(key) in differ
+        ]
+        question.reply(KeyItem(f"@sync/digest/{self._zid}", json.dumps({"entries": found}).encode()))
+
+    def _answer_fetch(self, question: Question) -> None:
+        for text in _texts(_json(question.body), "keys", _MOST_KEYS):
+            entry = self._replica.entry(*key_of(text))
+            if entry is not None:
+                question.reply(item_of(entry, f"@sync/fetch/{self._zid}/"))
+
+    def _answer_write(self, question: Question) -> None:
+        end = question.body.find(b"\n", 0, _MOST_WRITE)
+        writes = _json(question.body[: max(end, 0)]).get("writes")
+        if not isinstance(writes, list):
+            raise StoreError("it says nothing to write")
+        changes: dict[Key, Body | None] = {}
+        start = end + 1
+        for text, size in _sizes(writes):
+            kind, name = key = key_of(text)
+            if size is None:
+                changes[key] = None
+                continue
+            body = question.body[start : start + size]
+            start += size
+            KINDS[kind].decode(name, body)
+            changes[key] = body, KINDS[kind].encoding
+        if start != len(question.body):
+            raise StoreError("the values are not as long as they should be")
+        write_all(self._replica, changes)
+        question.reply(KeyItem(f"@sync/write/{self._zid}", b"{}"))
+
+    # Alignment
+
+    def _came_or_went(self, token: str, came: bool) -> None:
+        zid, _, daemon = token.removeprefix("@sync/alive/").partition("/")
+        if zid == self._zid:
+            return
+        with self._wake:
+            if came:
+                self._others[zid] = daemon
+                self._due[zid] = 0
+                self._wake.notify()
+            else:
+                self._others.pop(zid, None)
+                self._due.pop(zid, None)
+
+    def _run(self) -> None:
+        regular = time.monotonic() + self._period
+        while True:
+            with self._wake:
+                pause = _AGAIN if any(self._due.values()) else regular - time.monotonic()
+                if not self._closed and 0 not in self._due.values():
+                    self._wake.wait(max(pause, 0.01))
+                if self._closed:
+                    return
+                if time.monotonic() >= regular:
+                    regular = time.monotonic() + self._period
+                    self._due = dict.fromkeys(self._others, 0) | self._due
+                due, self._due = self._due, {}
+            for zid, tries in due.items():
+                self._align_with(zid, tries)
+
+    def _align_with(self, zid: str, tries: int) -> None:
+        try:
+            aligned = self._align(zid)
+        except (HubError, StoreError) as err:
+            _log.debug("cannot compare with the store of session %s: %s", zid, err)
+            aligned = False
+        except Exception:
+            _log.exception("cannot compare with the store of session %s", zid)
+            aligned = True  # the next regular comparison may fare better
+        if not aligned and tries < _MOST_TRIES:
+            with self._wake:
+                if zid in self._others:
+                    self._due.setdefault(zid, tries + 1)
+
+    def _align(self, zid: str) -> bool:
+        """Take what another replica has and this one has not; False where it does not answer."""
+        question = json.dumps({"digests": digests(self._replica.versions())}).encode()
+        answers = self._space.ask(f"@sync/digest/{zid}", question)
+        if not answers:
+            return False
+        under = f"@sync/fetch/{zid}/"
+        for batch in self._batches(_entries(answers[0].body or b"")):
+            for item in self._space.ask(f"{under}**", json.dumps({"keys": batch}).encode(), 30.0):
+                if self._closed:
+                    return True
+                self._take(item, item.key.removeprefix(under))
+        return True
+
+    def _batches(self, theirs: Iterable[Sequence[Any]]) -> Iterable[list[str]]:
+        """The keys of which the other has a later version, in parts of bounded size."""
+        ours = self._replica.versions()
+        keys: list[str] = []
+        size = 0
+        for kind, name, ns, replica, length in theirs:
+            try:
+                text = "/".join(key_of(f"{kind}/{name}"))
+                stamp = stamp_of(ns, replica)
+            except StoreError as err:
+                _log.debug("%s", err)
+                continue
+            if (kind, name) in ours and ours[kind, name][0] >= stamp:
+                continue
+            if keys and (len(keys) >= _BATCH_KEYS or size + length > _BATCH_BYTES):
+                yield keys
+                keys, size = [], 0
+            keys.append(text)
+            size += length
+        if keys:
+            yield keys
+
+
+def _json(data: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(data)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise StoreError("the question is not a JSON object")
+    return found
+
+
+def _texts(found: dict[str, Any], key: str, most: int) -> list[str]:
+    value = found.get(key, [])
+    if not isinstance(value, list) or len(value) > most or not all(isinstance(each, str) for each in value):
+        raise StoreError(f"{key} is no list of up to {most} texts")
+    return value
+
+
+def _sizes(writes: Iterable[Any]) -> Iterable[tuple[str, int | None]]:
+    for each in writes:
+        key, size = (each.get("key"), each.get("size")) if isinstance(each, dict) else (None, None)
+        whole = size is None or (isinstance(size, int) and not isinstance(size, bool) and size > 0)
+        if not isinstance(key, str) or not whole:
+            raise StoreError(f"{each!r:.80} is nothing to write")
+        yield key, size
+
+
+def _entries(data: bytes) -> list[Sequence[Any]]:
+    entries = _json(data).get("entries")
+    if not isinstance(entries, list) or len(entries) > _MOST_KEYS:
+        raise StoreError("the other store's answer is none")
+    return [each for each in entries if isinstance(each, list) and len(each) == 5 and isinstance(each[4], int)]

@@ -1,0 +1,59 @@
+"""What the tests of shared stores have in common: a deployment of stores, each on a router of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from bridge.hub.session import Hub, HubSettings
+from bridge.stores.replica import Limits, Replica
+from bridge.stores.sharing import Share
+from bridge.stores.store import Store
+from bridge.stores.wire import prefix
+
+
+class Shared:
+    """A store on the hub of a router.
+
+    Args:
+        folder: where its file is.
+        name: the daemon's.
+        router: endpoint that its session connects to, None for none.
+        listen: where its session listens besides.
+    """
+
+    def __init__(self, folder: Path, name: str, router: str | None, limits: Limits | None = None, **zenoh: Any) -> None:
+        self.name = name
+        self.replica = Replica(folder / f"{name}.sqlite", name, limits)
+        self.store = Store(self.replica)
+        self.share: Share | None = None
+        self.hub: Hub | None = None
+        self.zenoh = zenoh
+        if router is not None:
+            self.join(router)
+
+    def join(self, router: str) -> None:
+        """Join a hub."""
+        self.hub = Hub.open(
+            HubSettings(router=router, node=f"store_{self.name}", daemon=self.name, worker="store", zenoh=self.zenoh)
+        )
+        self.share = Share(self.replica, self.hub.keyspace(prefix(0)), self.hub.zid)
+
+    def leave(self) -> None:
+        """Leave the hub; the store goes on alone."""
+        if self.share is not None and self.hub is not None:
+            self.share.close()
+            self.hub.close()
+            self.share = self.hub = None
+
+    def others(self) -> list[str]:
+        """Whom it reaches."""
+        return self.share.others() if self.share is not None else []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        self.leave()
+        self.replica.close()

@@ -1,0 +1,177 @@
+"""Stores of several daemons on one hub: what one writes all have; cut apart and joined again; plain zenoh programs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from tests.stores.parts import Shared
+from tests.stores.test_store import KITCHEN, grid
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+
+SECONDS = 30.0
+
+
+@pytest.fixture
+def hub() -> Iterator[QuickHub]:
+    with QuickHub() as network:
+        yield network
+
+
+def names(shared: Shared) -> list[str]:
+    return shared.store.names(LOCATION)
+
+
+def same(*stores: Shared) -> bool:
+    return all(each.replica.versions() == stores[0].replica.versions() for each in stores)
+
+
+def all_joined(*stores: Shared) -> None:
+    for each in stores:
+        until(lambda each=each: len(each.others()) == len(stores) - 1, "all reach each other", SECONDS)
+
+
+def test_what_one_writes_all_have(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
+        all_joined(one, two)
+        heard: list[tuple[str, str, bool, str, bool]] = []
+        two.store.watch(lambda c: heard.append((c.kind, c.name, c.deleted, c.origin, c.here)))
+        one.store.put(MAP, "m1", grid())
+        one.store.put(LOCATION, "the kitchen", KITCHEN)
+        until(lambda: names(two) and two.store.names(MAP), "both have come", SECONDS)
+        assert two.store.get(MAP, "m1") == grid()
+        assert two.store.get(LOCATION, "the kitchen") == KITCHEN
+        two.store.delete(LOCATION, "the kitchen")
+        until(lambda: not names(one), "the deletion has come", SECONDS)
+        until(lambda: len(heard) == 3, "all is heard", SECONDS)
+        assert heard == [
+            ("map", "m1", False, "one", False),
+            ("location", "the kitchen", False, "one", False),
+            ("location", "the kitchen", True, "two", True),
+        ]
+        assert one.replica.status()["conflicts"] == two.replica.status()["conflicts"] == 0
+
+
+def test_three_cut_apart_and_joined_again(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with contextlib.ExitStack() as stack:
+        first, second = (stack.enter_context(QuickHub()) for _ in range(2))
+        one = stack.enter_context(Shared(tmp_path, "one", first.endpoint))
+        two = stack.enter_context(Shared(tmp_path, "two", first.endpoint))
+        three = stack.enter_context(Shared(tmp_path, "three", first.endpoint))
+        all_joined(one, two, three)
+        for number in range(20):
+            one.store.put(LOCATION, f"common{number}", KITCHEN)
+        until(lambda: same(one, two, three) and len(names(three)) == 20, "all begin alike", SECONDS)
+        for each in (two, three):  # two is alone, three on another router
+            each.leave()
+        three.join(second.endpoint)
+        one.store.put(LOCATION, "of one", KITCHEN)
+        one.store.delete(LOCATION, "common1")
+        one.store.put(LOCATION, "both", Map2DLocation("m1", 1.0))
+        one.store.put(LOCATION, "common3", Map2DLocation("m1", 31.0))
+        one.store.put(MAP, "m1", grid())
+        two.store.put(LOCATION, "of two", KITCHEN)
+        two.store.delete(LOCATION, "common2")
+        two.store.put(LOCATION, "both", Map2DLocation("m1", 2.0))
+        two.store.delete(LOCATION, "common3")
+        three.store.put(LOCATION, "of three", KITCHEN)
+        three.store.put(AREA, "hall", Map2DArea("m1", [], "hall"))
+        three.store.put(LOCATION, "common1", KITCHEN)  # later than one's deletion
+        assert names(two) != names(one)
+        with caplog.at_level(logging.WARNING):
+            three.leave()
+            for each in (two, three):
+                each.join(first.endpoint)
+            until(lambda: same(one, two, three), "all are alike again", SECONDS)
+        expected = sorted(
+            {f"common{n}" for n in range(20)} - {"common2", "common3"} | {"both", "of one", "of two", "of three"}
+        )
+        for each in (one, two, three):
+            assert names(each) == expected
+            both = each.store.get(LOCATION, "both")
+            assert both is not None
+            assert both.x == 2.0
+            assert each.store.names(MAP) == ["m1"]
+            assert each.store.names(AREA) == ["hall"]
+        lost = {record.getMessage() for record in caplog.records if "apart from each other" in record.getMessage()}
+        told = [next(text for text in lost if f"location '{name}'" in text) for name in ("both", "common1", "common3")]
+        assert "at two and at one" in told[0]
+        assert '"x": 2.0' in told[0]
+        assert '"x": 1.0' in told[0]
+        assert "at three and at one" in told[1]
+        assert "deleted" in told[1]
+        assert "at two and at one" in told[2]
+        assert len({text for text in lost if "location 'common" in text or "both" in text}) == len(lost)
+
+
+def test_a_deletion_reaches_who_was_away(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
+        for number in range(300):  # more than one batch
+            one.store.put(LOCATION, f"l{number}", KITCHEN)
+        until(lambda: len(names(two)) == 300, "all have come", SECONDS)
+        two.leave()
+        one.store.clear(LOCATION)
+        two.join(hub.endpoint)
+        until(lambda: not names(two), "all are deleted", SECONDS)
+        assert same(one, two)
+        assert two.replica.status()["conflicts"] == 0
+
+
+def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
+        one.store.put(LOCATION, "kitchen", KITCHEN)
+        one.store.put(LOCATION, "hall", KITCHEN)
+        one.store.put(MAP, "m1", grid())
+        one.store.delete(LOCATION, "hall")
+        found = until(lambda: list(session.get("midspan/store/0/location/kitchen")), "it is answered", SECONDS)
+        assert json.loads(found[0].ok.payload.to_bytes()) == {
+            "map": "m1", "x": 1.0, "y": 2.5, "theta_deg": 90.0, "description": 'the "kitchen", große',
+        }  # fmt: skip
+        assert str(found[0].ok.encoding) == "application/json"
+        keys = {str(reply.ok.key_expr): reply.ok for reply in session.get("midspan/store/**")}
+        assert set(keys) == {"midspan/store/0/location/kitchen", "midspan/store/0/map/m1"}
+        stamp = keys["midspan/store/0/location/kitchen"].timestamp
+        version = one.replica.versions()["location", "kitchen"][0]
+        assert (stamp.get_time_as_ntp64().as_nanos(), bytes(stamp.get_id()).hex()) == (version.ns, version.replica)
+        head, _, cells = keys["midspan/store/0/map/m1"].payload.to_bytes().partition(b"\n")
+        about = json.loads(head)
+        assert (about["width"], about["height"], about["occupancy"] + about["flags"]) == (20, 30, len(cells))
+
+        session.put("midspan/store/0/location/door", b'{"map": "m1", "x": 4}')
+        until(lambda: one.store.get(LOCATION, "door") == Map2DLocation("m1", 4.0), "it is taken", SECONDS)
+        session.delete("midspan/store/0/location/kitchen")
+        until(lambda: names(one) == ["door"], "it is deleted", SECONDS)
+        with caplog.at_level(logging.WARNING):
+            for key, body in (
+                ("midspan/store/0/location/bad", b"[]"),
+                ("midspan/store/0/map/bad", b'{"midspan": "map", "version": 1, "width": 1000000000, "height": 9}\n'),
+                ("midspan/store/0/nothing/bad", b"{}"),
+                ("midspan/store/0/location/@bad", b"{}"),
+                ("midspan/store/0/location/.bad", b"{}"),
+            ):
+                session.put(key, body)
+            session.put("midspan/store/0/location/good", b"{}")
+            until(lambda: "good" in names(one), "the good one is taken", SECONDS)
+        assert names(one) == ["door", "good"]
+        assert one.store.names(MAP) == ["m1"]
+        assert len([1 for record in caplog.records if "is not taken" in record.getMessage()]) >= 3
+
+
+@contextlib.contextmanager
+def plain(hub: QuickHub) -> Iterator[zenoh.Session]:
+    """A session as any zenoh program has it: a client of the router, with zenoh's defaults."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([hub.endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+        yield session
