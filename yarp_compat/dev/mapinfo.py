@@ -175,11 +175,20 @@ class MapGrid2DInfo:
         Returns:
             columns and rows, of the same shape; outside of the map where a place is.
         """
+        found = self.in_cells(points)
+        return np.stack((np.floor(found[..., 0]), np.ceil(found[..., 1]) - 1), -1).astype(np.intp)
+
+    def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Places in cells to the right of and below the map's upper left corner, with fractions.
+
+        Args:
+            points: x and y in metres, of shape (..., 2).
+        """
         places = np.asarray(points, float)
         ca, sa = self.m_origin.get_ca(), self.m_origin.get_sa()
-        x = (places[..., 0] * ca - places[..., 1] * sa - self.m_origin.x) / self.m_resolution
-        y = (places[..., 0] * sa + places[..., 1] * ca - self.m_origin.y) / self.m_resolution
-        return np.stack((np.floor(x), self.m_height - 1 - np.floor(y)), -1).astype(np.intp)
+        right = (places[..., 0] * ca - places[..., 1] * sa - self.m_origin.x) / self.m_resolution
+        up = (places[..., 0] * sa + places[..., 1] * ca - self.m_origin.y) / self.m_resolution
+        return np.stack((right, self.m_height - up), -1)
 
     def centers_of(self, cells: ArrayLike) -> NDArray[np.float64]:
         """The places of cells' middles.

@@ -1,0 +1,106 @@
+"""`nav_msgs/OccupancyGrid` of a map of YARP, and back.
+
+ROS's rows go from the bottom up and its numbers are signed: 0 to 100, or -1 for unknown. Its origin is another one
+where the map is turned, see :mod:`yarp_compat.dev.mapinfo`; every cell stays in its place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, too_large
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
+
+Message = dict[str, Any]
+
+_CHUNK = 1 << 16  # cells at once, so that what lies between stays in the cache
+
+
+def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
+    """The OccupancyGrid of a map.
+
+    Walls and unknown cells of the flags are walls and unknown in it, whatever the occupancy says of them: a wall that
+    somebody painted is one to all planners. Keep-out cells and obstacles are in :mod:`navigation.maps.keepout`'s mask.
+    """
+    return message_of(occupied(grid), grid, frame, stamp_ns)
+
+
+def message_of(values: NDArray[np.int8], info: MapGrid2DInfo, frame: str = "map", stamp_ns: int = 0) -> Message:
+    """The OccupancyGrid of values of shape (height, width), rows from the top one down, which lie as a map does."""
+    stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
+    return {"header": {"stamp": stamp, "frame_id": frame}, "info": info_of(info, stamp), "data": data_of(values)}
+
+
+def info_of(info: MapGrid2DInfo, stamp: Message) -> Message:
+    """The `nav_msgs/MapMetaData` of a map."""
+    x, y, yaw = info.origin.to_ros()
+    return {
+        "map_load_time": stamp,
+        "resolution": info.resolution,
+        "width": info.m_width,
+        "height": info.m_height,
+        "origin": {
+            "position": {"x": x, "y": y, "z": 0.0},
+            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
+        },
+    }
+
+
+def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Values of shape (height, width), rows from the top one down, in ROS's order, of shape (height * width,)."""
+    return np.ascontiguousarray(values[::-1]).reshape(-1)
+
+
+def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
+    """How surely each cell is occupied, joined with the flags of walls and unknown cells.
+
+    Returns:
+        of shape (height, width), rows from the top one down: 0 to 100, or -1.
+    """
+    values = np.array(grid.occupancy, np.uint8, order="C")
+    flat, flags = values.reshape(-1), np.ascontiguousarray(grid.flags).reshape(-1)
+    for at in range(0, len(flat), _CHUNK):
+        cells, marks = flat[at : at + _CHUNK], flags[at : at + _CHUNK]
+        above = cells - np.uint8(50)  # wraps, so that what is below 50 is above 50 too
+        for wrong, value in (
+            ((cells > 100) & (cells < UNKNOWN) | (marks == MapFlag.UNKNOWN) & (cells < UNKNOWN), UNKNOWN),
+            ((marks == MapFlag.WALL) & (above > 50), 100),
+        ):
+            if wrong.any():
+                cells[wrong] = value
+    return values.view(np.int8)
+
+
+def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
+    """The map of an OccupancyGrid, with the flags that YARP gives one: free below 50, wall from there on, unknown.
+
+    Args:
+        message: as `bridge.messages.values` has it.
+        name: the map's.
+
+    Raises:
+        ValueError: it is none; the text says why.
+    """
+    info, data = message["info"], np.asarray(message["data"], np.int8)
+    width, height = int(info["width"]), int(info["height"])
+    if width * height > MAX_CELLS:
+        raise ValueError(too_large(width, height))
+    if not width * height or data.shape != (width * height,):
+        raise ValueError(f"an OccupancyGrid of {width} x {height} cells does not have {data.size} of them")
+    occupancy = data.reshape(height, width)[::-1].astype(np.uint8)
+    occupancy[occupancy > 100] = UNKNOWN
+    place, turn = info["origin"]["position"], info["origin"]["orientation"]
+    origin = MapGrid2DOrigin.from_ros(place["x"], place["y"], yaw_of(turn))
+    return MapGrid2D.of(flags_of(occupancy), occupancy, name=name, resolution=float(info["resolution"]), origin=origin)
+
+
+def yaw_of(turn: Mapping[str, float]) -> float:
+    """The turn about the vertical of a quaternion, radians; of one that is all 0, as some programs send, 0."""
+    x, y, z, w = (turn.get(axis, 0.0) for axis in "xyzw")
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
