@@ -18,9 +18,13 @@ from typing import Any, Protocol
 
 from tests.interop.deployment import Deployment
 from tests.interop.hub_actions import HubActions
+from tests.interop.ros2dds_actions import Ros2ddsActions
+from tests.support import zenoh_actions
 from tests.support.peer import Peer
 from tests.support.ports import free_port
+from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
+from tests.support.zenoh_programs import JsonProgram, Program, Ros1Bridge, Ros2ddsBridge, service_texts
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.pythonic import Client, Server
@@ -32,10 +36,17 @@ YARP_RPC = "/lamp/rpc:i"
 ROS1 = "ROS 1 rospy, actionlib"
 ROS2 = "ROS 2 rclpy"
 ZENOH = "zenoh, zenoh-ros2-sdk"
+ROS2DDS = "zenoh, ros2dds plugin"
+ROS1_KEYS = "zenoh, ros1 plugin"
+JSON = "zenoh, JSON"
 YARP = "YARP RPC"
 HUB = "zenoh, Midspan's module"
-"""zenoh-ros2-sdk has no actions; their end on the hub is what modules of Midspan use."""
+"""zenoh-ros2-sdk has no actions; their end on the hub is what modules of Midspan use. Those of the plugins are bridges
+as they are, see `tests.support.zenoh_programs`."""
 
+KEYS = {
+    ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", ROS2DDS: "ros2dds", ROS1_KEYS: "ros1_keys", JSON: "json", YARP: "yarp",
+}  # fmt: skip
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
@@ -69,7 +80,7 @@ class ServiceSide(Protocol):
 class RosServices:
     """Services of a peer program."""
 
-    def __init__(self, peer: Peer) -> None:
+    def __init__(self, peer: Peer | Program) -> None:
         self._peer = peer
 
     def serve(self, service: str, message: str) -> None:
@@ -105,8 +116,22 @@ class YarpServices:
             port.close()
 
 
+class JsonServices:
+    """Keys that a program without ROS serves and calls."""
+
+    def __init__(self, program: JsonProgram) -> None:
+        self._program = RosServices(program)
+
+    def serve(self, service: str, message: str) -> None:
+        self._program.serve(f"/json{service}", message)
+
+    def call(self, service: str, *, data: bool) -> dict[str, Any]:
+        return self._program.call(f"/json{service}", data=data)
+
+
 TYPES = {ROS1: "move_base_msgs/MoveBase", ROS2: "nav2_msgs/NavigateToPose", HUB: "nav2_msgs/NavigateToPose"}
 FIELDS = {ROS1: ("target_pose", "base_position"), ROS2: ("pose", "current_pose"), HUB: ("pose", "current_pose")}
+LOOKUP = "tf2_msgs/LookupTransform"
 
 
 def pose(x: float) -> dict[str, Any]:
@@ -133,13 +158,12 @@ class Pair:
 
     def act(self, name: str, **more: Any) -> int:
         """Serve an action."""
-        feedback = [{FIELDS[self.sides[0]][1]: pose(1.5)}]
-        return int(self.server.ask("act", action=name, type=TYPES[self.sides[0]], feedback=feedback, **more)["id"])
+        asked = {"action": name, "type": self.type(0), "feedback": [self.feedback()], **more}
+        return int(self.server.ask("act", **asked)["id"])
 
     def send(self, name: str, **more: Any) -> int:
         """Send a goal."""
-        goal = {FIELDS[self.sides[1]][0]: pose(3.5)}
-        asked = {"action": name, "type": TYPES[self.sides[1]], "goal": goal, "seconds": SECONDS, **more}
+        asked = {"action": name, "type": self.type(1), "goal": self.sent(), "seconds": SECONDS, **more}
         return int(self.client.ask("send_goal", **asked)["id"])
 
     def goal(self, goal: int, **wanted: Any) -> dict[str, Any]:
@@ -153,6 +177,25 @@ class Pair:
         assert seen == wanted, f"{seen}, not {wanted}"
         return found
 
+    # -- what is said --------------------------------------------------------------------------------------------------
+
+    def type(self, end: int) -> str:
+        """The action's type at the server (0) and at the client (1)."""
+        return TYPES[self.sides[end]]
+
+    def sent(self) -> dict[str, Any]:
+        """The client's goal."""
+        return {FIELDS[self.sides[1]][0]: pose(3.5)}
+
+    def feedback(self) -> dict[str, Any]:
+        """The server's feedback."""
+        return {FIELDS[self.sides[0]][1]: pose(1.5)}
+
+    def check(self, seen: dict[str, Any], heard: dict[str, Any]) -> None:
+        """The goal that the server saw, and the feedback that the client heard."""
+        assert place(seen[FIELDS[self.sides[0]][0]]) == ("map", 3.5)
+        assert place(heard[FIELDS[self.sides[1]][1]]) == ("map", 1.5)
+
     # -- what is to cross ----------------------------------------------------------------------------------------------
 
     def goal_and_result(self) -> None:
@@ -161,8 +204,7 @@ class Pair:
         goal = self.send(self.name("held"))
         heard = self.goal(goal, accepted=True, feedback=1)
         (seen,) = self.server.ask("goals", id=acting)["goals"]
-        assert place(seen[FIELDS[self.sides[0]][0]]) == ("map", 3.5)
-        assert place(heard["feedback"][0][FIELDS[self.sides[1]][1]]) == ("map", 1.5)
+        self.check(seen, heard["feedback"][0])
         self.server.ask("release", id=acting)
         assert self.goal(goal, status=SUCCEEDED)["result"] is not None
 
@@ -194,35 +236,68 @@ class Pair:
         }
 
 
+class LookupPair(Pair):
+    """The same with ``tf2_msgs/LookupTransform``, whose feedback has no fields."""
+
+    def type(self, end: int) -> str:  # noqa: ARG002
+        return LOOKUP
+
+    def sent(self) -> dict[str, Any]:
+        return {"target_frame": "map"}
+
+    def feedback(self) -> dict[str, Any]:
+        return {}
+
+    def check(self, seen: dict[str, Any], heard: dict[str, Any]) -> None:  # noqa: ARG002
+        assert seen["target_frame"] == "map"
+
+
 def table(deployment: Deployment) -> Iterator[Line]:
     """Start the daemon, and try every pair."""
     names = Address("127.0.0.1", free_port())
     rule = {"service": "/from_yarp", "port": YARP_RPC, "type": "std_srvs/srv/SetBool"}
     yarp = {"nameserver": "embedded", "address": f"{names.host}:{names.port}", "poll": 0.1, "services": [rule]}
-    deployment.start(yarp=yarp)
-    until(lambda: deployment.worker("yarp").get("state") == "running", "the YARP network is joined", SECONDS)
+    deployment.start(yarp=yarp, zenoh={"dialects": dialects()})
+    for side in ("yarp", "zenoh_ros2dds", "zenoh_ros1", "zenoh_json"):
+        until(lambda side=side: deployment.worker(side).get("state") == "running", f"{side} is joined", SECONDS)
     ros1, ros2 = deployment.ros1(), deployment.ros2()
     ports = deployment.keep(YarpServices(NameClient(names)))
+    endpoint = f"tcp/127.0.0.1:{deployment.port}"
+    texts = service_texts() | zenoh_actions.TEXTS
+    ros2dds = deployment.keep(Ros2ddsBridge(endpoint, Messages(ros1=False, texts=texts)))
     sides: dict[str, ServiceSide] = {
         ROS1: RosServices(ros1),
         ROS2: RosServices(ros2),
         ZENOH: RosServices(deployment.sdk()),
+        ROS2DDS: RosServices(ros2dds),
+        ROS1_KEYS: RosServices(deployment.keep(Ros1Bridge(endpoint, Messages(ros1=True, texts=service_texts())))),
+        JSON: JsonServices(deployment.keep(JsonProgram(endpoint))),
         YARP: ports,
     }
     yield from services(sides)
     hub = deployment.keep(HubActions(deployment.settings("module")))
-    yield from actions({ROS1: ros1, ROS2: ros2, HUB: hub})
+    plugin = deployment.keep(Ros2ddsActions(ros2dds, SECONDS))
+    yield from actions({ROS1: ros1, ROS2: ros2, HUB: hub, ROS2DDS: plugin})
+
+
+def dialects() -> list[dict[str, Any]]:
+    """What the configuration says of the dialects; in JSON it names each service."""
+    names = {f"/from_{key}": "in" if side == JSON else "out" for side, key in KEYS.items()}
+    keys = [
+        {"key": f"json{name}", "topic": name, "type": "std_srvs/srv/SetBool", "direction": direction}
+        for name, direction in names.items()
+    ]
+    return [{"dialect": "ros2dds"}, {"dialect": "ros1"}, {"dialect": "json", "keys": keys}]
 
 
 def services(sides: dict[str, ServiceSide]) -> Iterator[Line]:
     """Each side serves one service, and each other side calls it."""
-    keys = {ROS1: "ros1", ROS2: "ros2", ZENOH: "zenoh", YARP: "yarp"}
     for server, side in sides.items():
-        side.serve(f"/from_{keys[server]}", f"by {server}")
+        side.serve(f"/from_{KEYS[server]}", f"by {server}")
     for server in sides:
         for client, side in sides.items():
             if client != server:
-                service = f"/from_{keys[server]}"
+                service = f"/from_{KEYS[server]}"
                 yield line("service", server, client, {"request, reply": partial(ask, side, service, server)})
 
 
@@ -246,7 +321,8 @@ def actions(peers: dict[str, Any]) -> Iterator[Line]:
     for server in peers.items():
         for client in peers.items():
             if client[0] != server[0]:
-                yield line("action", server[0], client[0], Pair(server, client).parts())
+                pair = LookupPair if ROS2DDS in (client[0], server[0]) else Pair
+                yield line("action", server[0], client[0], pair(server, client).parts())
 
 
 def line(kind: str, server: str, client: str, parts: dict[str, Callable[[], None]]) -> Line:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from bridge.clock import SYSTEM
@@ -100,15 +101,6 @@ class Sent:
             "cancel": [0, 1] if self._cancelled and status == 5 else None,
         }
 
-    def wait(self, wanted: dict[str, Any], seconds: float) -> dict[str, Any]:
-        def there() -> bool:
-            state = self.state()
-            return all(len(state[k]) >= v if k == "feedback" else state[k] == v for k, v in wanted.items())
-
-        with contextlib.suppress(AssertionError):  # who asks looks at what is there
-            until(there, "the goal's state", seconds)
-        return self.state()
-
 
 class HubActions:
     """The program."""
@@ -129,8 +121,7 @@ class HubActions:
         if do == "goals":
             return {"goals": end.goals(params.get("count", 1), params.get("seconds", 20.0))}
         if do == "goal":
-            waited: dict[str, Any] = end.wait(params["until"], params["seconds"])
-            return waited
+            return waited(end.state, params["until"], params["seconds"])
         getattr(end, do)()
         return {}
 
@@ -139,6 +130,18 @@ class HubActions:
         self._node.close()
         self._loop.close()
         self._hub.close()
+
+
+def waited(state: Callable[[], dict[str, Any]], wanted: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """What is known of a goal, once these fields are so (of feedback: at least so many) or the time is over."""
+
+    def there() -> bool:
+        known = state()
+        return all(len(known[k]) >= v if k == "feedback" else known[k] == v for k, v in wanted.items())
+
+    with contextlib.suppress(AssertionError):  # who asks looks at what is there
+        until(there, "the goal's state", seconds)
+    return state()
 
 
 def full(name: str) -> str:

@@ -16,7 +16,7 @@ from tests.support.zenoh_programs import Ros2ddsBridge
 from tests.support.zenoh_services import Calling, Serving
 
 ACTION = "tf2_msgs/action/LookupTransform"
-CANCELED, SUCCEEDED = 5, 4
+EXECUTING, SUCCEEDED, CANCELED, ABORTED = 2, 4, 5, 6
 _ID = "unique_identifier_msgs/UUID goal_id\n"
 _NAME = "tf2_msgs/LookupTransform"
 TEXTS = {

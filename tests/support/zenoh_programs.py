@@ -403,7 +403,11 @@ class Ros1Bridge(Program):
 
 
 class JsonProgram(Program):
-    """A program without ROS that speaks JSON; topics are keys."""
+    """A program without ROS that speaks JSON; topics and services are keys."""
+
+    def __init__(self, endpoint: str) -> None:
+        super().__init__(endpoint)
+        self.wire = Wire(self.encode, self.decode, lambda _text: None, lambda q: q.payload is not None, lambda: None)
 
     def encode(self, _type: str, message: dict[str, Any]) -> bytes:
         return json.dumps(message).encode()
@@ -421,6 +425,12 @@ class JsonProgram(Program):
             self.session.declare_subscriber(topic.strip("/"), hear, allowed_origin=zenoh.Locality.REMOTE)
         )
         return number
+
+    def serve(self, service: str, _type: str, params: dict[str, Any]) -> tuple[Serving, list[Any]]:
+        return Serving(self.session, service.strip("/"), self.wire, params), []
+
+    def call(self, service: str, type_: str, request: dict[str, Any] | bytes | None) -> Calling:
+        return Calling(self.session, service.strip("/"), self.wire, type_, request)
 
     def get(self, key: str) -> list[tuple[Any, str]]:
         """A plain ``get``: each answer with its encoding."""

@@ -1,0 +1,128 @@
+"""Actions of nodes behind a bridge as zenoh-bridge-ros2dds is, by the commands of `tests.support.peer`.
+
+Their one action is ``tf2_msgs/LookupTransform``, whose feedback has no fields.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from tests.interop.hub_actions import waited
+from tests.support.wait import until
+from tests.support.zenoh_actions import ABORTED, CANCELED, EXECUTING, SUCCEEDED, ActionClient, ActionServer
+from tests.support.zenoh_programs import Ros2ddsBridge
+from tests.support.zenoh_services import Calling
+
+
+class Acting:
+    """An action server that takes one goal, and ends it as it was told."""
+
+    def __init__(self, bridge: Ros2ddsBridge, params: dict[str, Any]) -> None:
+        self._server = ActionServer(bridge, params["action"])
+        self._outcome, self._held = params.get("outcome", "succeed"), bool(params.get("held"))
+        self._seconds = params["seconds"]
+        self._server.send_goal.reply = {"accepted": self._outcome != "reject"}
+        if self._outcome != "reject":
+            threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        if not self._server.send_goal.requests(1, self._seconds):
+            return
+        self._server.cancel_goal.reply = {"goals_canceling": [{"goal_id": self._server.goal()["goal_id"]}]}
+        until(lambda: self._server.feedback.matching_status.matching, "somebody hears of the goal", self._seconds)
+        self._server.tell(EXECUTING)
+        if not self._held:
+            self._end(ABORTED if self._outcome == "abort" else SUCCEEDED)
+        elif self._server.cancel_goal.requests(1, self._seconds):
+            self._end(CANCELED)
+
+    def _end(self, status: int) -> None:
+        self._server.get_result.requests(1, self._seconds)
+        self._server.end(status, "laser")
+
+    def goals(self) -> list[dict[str, Any]]:
+        """The goals that came."""
+        return [request["goal"] for request in self._server.send_goal.requests()]
+
+    def release(self) -> None:
+        """End the goal that is held."""
+        self._end(SUCCEEDED)
+
+    def close(self) -> None:
+        """Leave."""
+        self._server.close()
+
+
+class Sent:
+    """A goal, and what was heard of it."""
+
+    def __init__(self, bridge: Ros2ddsBridge, number: int, params: dict[str, Any]) -> None:
+        self._client = ActionClient(bridge, params["action"])
+        self._id = {"goal_id": {"uuid": [number] * 16}}
+        asked = {**self._id, "goal": params["goal"]}
+
+        def answered() -> Any:
+            """The plugin's client has no reply before the other side's server is there."""
+            return self._client.ask("send_goal", asked).result()["reply"]
+
+        reply = until(answered, f"there is a server of {params['action']}", params["seconds"], every=0.1)
+        self._accepted: bool = reply["accepted"]
+        self._result: Calling | None = self._client.ask("get_result", self._id) if self._accepted else None
+        self._cancelled: Calling | None = None
+
+    def cancel(self) -> None:
+        """Ask for the goal's end."""
+        self._cancelled = self._client.ask("cancel_goal", {"goal_info": self._id})
+
+    def state(self) -> dict[str, Any]:
+        """What is known."""
+        ended = None if self._result is None else self._result.result(0)["reply"]
+        told = None if self._cancelled is None else self._cancelled.result(0)["reply"]
+        return {
+            "accepted": self._accepted,
+            "feedback": [one["feedback"] for one in self._client.feedback],
+            "status": ended["status"] if ended else 0,
+            "result": ended["result"] if ended else None,
+            "cancel": [told["return_code"], len(told["goals_canceling"])] if told else None,
+        }
+
+    def close(self) -> None:
+        """Leave."""
+        if self._result is not None:
+            self._result.token.cancel()
+        self._client.close()
+
+
+class Ros2ddsActions:
+    """The nodes.
+
+    Args:
+        bridge: theirs.
+        seconds: how long a server waits for a goal.
+    """
+
+    def __init__(self, bridge: Ros2ddsBridge, seconds: float) -> None:
+        self._bridge, self._seconds = bridge, seconds
+        self._ends: list[Any] = []
+
+    def ask(self, do: str, **params: Any) -> dict[str, Any]:
+        """Carry out a command."""
+        if do in ("act", "send_goal"):
+            params = {"seconds": self._seconds, **params}
+            self._ends.append(
+                Acting(self._bridge, params) if do == "act" else Sent(self._bridge, len(self._ends) + 1, params)
+            )
+            return {"id": len(self._ends) - 1}
+        end = self._ends[params["id"]]
+        if do == "goals":
+            return {"goals": end.goals()}
+        if do == "goal":
+            return waited(end.state, params["until"], params["seconds"])
+        getattr(end, do)()
+        return {}
+
+    def stop(self) -> None:
+        """Leave."""
+        for end in self._ends:
+            end.close()
