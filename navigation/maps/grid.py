@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.messages.cache import compiled
 from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 
 Message = dict[str, Any]
-
-_CHUNK = 1 << 16  # cells at once, so that what lies between stays in the cache
 
 
 def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
@@ -31,10 +33,10 @@ def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
     return message_of(occupied(grid), grid, frame, stamp_ns)
 
 
-def message_of(values: NDArray[np.int8], info: MapGrid2DInfo, frame: str = "map", stamp_ns: int = 0) -> Message:
-    """The OccupancyGrid of values of shape (height, width), rows from the top one down, which lie as a map does."""
+def message_of(data: NDArray[np.int8], info: MapGrid2DInfo, frame: str = "map", stamp_ns: int = 0) -> Message:
+    """The OccupancyGrid of data in ROS's order (:func:`data_of`), which lies as a map does."""
     stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
-    return {"header": {"stamp": stamp, "frame_id": frame}, "info": info_of(info, stamp), "data": data_of(values)}
+    return {"header": {"stamp": stamp, "frame_id": frame}, "info": info_of(info, stamp), "data": data}
 
 
 def info_of(info: MapGrid2DInfo, stamp: Message) -> Message:
@@ -58,23 +60,42 @@ def data_of(values: NDArray[np.int8]) -> NDArray[np.int8]:
 
 
 def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
-    """How surely each cell is occupied, joined with the flags of walls and unknown cells.
+    """How surely each cell is occupied, joined with the flags of walls and unknown cells, as :func:`to_grid` says.
 
     Returns:
-        of shape (height, width), rows from the top one down: 0 to 100, or -1.
+        0 to 100, or -1, of shape (height * width,), rows from the bottom up.
     """
-    values = np.array(grid.occupancy, np.uint8, order="C")
-    flat, flags = values.reshape(-1), np.ascontiguousarray(grid.flags).reshape(-1)
-    for at in range(0, len(flat), _CHUNK):
-        cells, marks = flat[at : at + _CHUNK], flags[at : at + _CHUNK]
-        above = cells - np.uint8(50)  # wraps, so that what is below 50 is above 50 too
-        for wrong, value in (
-            ((cells > 100) & (cells < UNKNOWN) | (marks == MapFlag.UNKNOWN) & (cells < UNKNOWN), UNKNOWN),
-            ((marks == MapFlag.WALL) & (above > 50), 100),
-        ):
-            if wrong.any():
-                cells[wrong] = value
-    return values.view(np.int8)
+    data = np.empty((grid.m_height, grid.m_width), np.uint8)
+    _join()(np.ascontiguousarray(grid.occupancy), np.ascontiguousarray(grid.flags), _VALUES, data)
+    return data.view(np.int8).reshape(-1)
+
+
+def _values() -> NDArray[np.uint8]:
+    """What a cell is in the grid, by its flag and its occupancy."""
+    occupancy = np.arange(256)
+    table = np.tile(np.where(occupancy <= 100, occupancy, UNKNOWN).astype(np.uint8), (256, 1))
+    table[MapFlag.WALL] = np.where((occupancy >= 50) & (occupancy <= 100), occupancy, 100)
+    table[MapFlag.UNKNOWN] = UNKNOWN
+    return table
+
+
+_VALUES = _values()
+
+
+def _joined(
+    occupancy: NDArray[np.uint8], flags: NDArray[np.uint8], values: NDArray[np.uint8], data: NDArray[np.uint8]
+) -> None:
+    height = len(occupancy)
+    for row in range(height):
+        cells, marks, out = occupancy[row], flags[row], data[height - 1 - row]
+        for column in range(len(cells)):
+            out[column] = values[marks[column], cells[column]]
+
+
+@cache
+def _join() -> Any:
+    cells = numba.uint8[:, ::1]
+    return compiled(_joined, numba.void(cells, cells, cells, cells), [Path(__file__)])
 
 
 def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
