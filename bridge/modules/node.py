@@ -68,6 +68,8 @@ class Subscription:
         self._queue: deque[HubSample] = deque()
         self._depth = depth
         self.end: HubSubscription | None = None
+        self.sender = b""
+        """The GID of the publisher whose message is being heard; on the module's thread."""
 
     def take(self, sample: HubSample) -> None:
         """Queue a sample, on zenoh's thread."""
@@ -102,6 +104,7 @@ class Subscription:
             _log.warning("%s: message refused: %s", self.topic, err)
             return
         self.counters.crossed(len(payload))
+        self.sender = sample.gid
         self._heard(payload)
 
     def close(self) -> None:
@@ -174,6 +177,11 @@ class Node:
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""
         return ActionClient(self, name, type_name)
+
+    def release(self, end: Publisher | Subscription | Server | Client) -> None:
+        """Give one end back before the node's end."""
+        self._ends = [each for each in self._ends if each is not end]
+        end.close()
 
     def tick(self) -> None:
         """Count rates; called once a second."""
