@@ -8,7 +8,10 @@ from bridge.config.sections.modules import OwnModule
 from bridge.config.sections.section import Section
 from bridge.modules.module import Module
 
-KINDS: dict[str, str] = {"transform_server": "bridge.tf.server.module:TransformServer"}
+KINDS: dict[str, str] = {
+    "base_control": "navigation.base_control.module:BaseControl",
+    "transform_server": "bridge.tf.server.module:TransformServer",
+}
 """``package.module:Class`` of each module that comes with Midspan; imported in the process that runs it alone."""
 
 

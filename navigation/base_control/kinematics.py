@@ -74,7 +74,7 @@ def kinematics(kind: str, wheel_radius: float, wheel_distance: float) -> Kinemat
     joints: tuple[str, ...]
     if kind == "cer":
         half = wheel_distance / 2.0
-        rows, joints = [[1.0, 0.0, -half], [1.0, 0.0, half]], ("left_wheel", "right_wheel")
+        rows, joints = [[1.0, 0.0, -half], [1.0, 0.0, half]], ("mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint")
     elif kind == "ikart_V1":
         lean, arm = math.sqrt(3.0) / 2.0, wheel_distance
         rows, joints = [[lean, -0.5, -arm], [-lean, -0.5, -arm], [0.0, 1.0, -arm]], ("wheel_0", "wheel_1", "wheel_2")

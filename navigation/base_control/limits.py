@@ -76,7 +76,7 @@ class Limiter:
         """
         if not self.kinematics.holonomic:
             wanted = Velocity(wanted.x, 0.0, wanted.turn)
-        self._smooth = _filtered(self._smooth, wanted, self.limits.filter_hz, seconds)
+        self._smooth = smoothed(self._smooth, wanted, self.limits.filter_hz, seconds)
         target = held(self._smooth, self.kinematics, self.limits)
         # limits that were lowered while driving: nothing above them is held
         start = held(self.now, self.kinematics, self.limits)
@@ -147,8 +147,8 @@ def _holds(velocity: Velocity, kinematics: Kinematics, limits: Limits) -> bool:
     return abs(cut.x - velocity.x) + abs(cut.y - velocity.y) + abs(cut.turn - velocity.turn) <= 1e-9
 
 
-def _filtered(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
-    """A low pass of first order."""
+def smoothed(before: Velocity, wanted: Velocity, hertz: int, seconds: float) -> Velocity:
+    """One step of a low pass of first order with this corner frequency; 0 for none."""
     if hertz <= 0:
         return wanted
     share = 1.0 - math.exp(-2.0 * math.pi * hertz * seconds)

@@ -1,0 +1,208 @@
+"""What a base is and may do: from the section of the configuration, and from ``baseCtrl`` files of existing robots.
+
+The files' keys are those of robotology/navigation's ``baseControl2`` (and of ``baseControl`` before it), units theirs:
+m/s, deg/s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bridge.config.sections.base_control import INPUTS, BaseControlSection, BaseInput
+from navigation.base_control.kinematics import KINDS, Kinematics, KinematicsError, kinematics
+from navigation.base_control.limits import FILTERS, Limits
+from navigation.base_control.velocity import FullControl
+from navigation.ini import Group, Ini, IniError
+
+_GENERAL, _GEOMETRY, _MOTORS, _STICK = "BASECTRL_GENERAL", "ROBOT_GEOMETRY", "MOTORS", "JOYSTICK"
+_INPUT = "BASECTRL_INPUTS_{}"
+_MOST_INPUTS = 32
+_YARP_INPUT = "mobileBaseVelocityControl_nws_yarp"
+
+OTHERS = frozenset({
+    "LINEAR_VELOCITY_PID", "ANGULAR_VELOCITY_PID", "HEADING_VELOCITY_PID", "ROS_FOOTPRINT", "ROS_GENERAL", "robot",
+    "part", "joystick_connect", "skip_robot_interface_check", "silent", "debug", "no_start", "control_mode",
+})  # fmt: skip
+"""Groups and keys that speak of motors' controllers and of upstream's own program: nothing here needs them."""
+
+STALE = {
+    ("ROBOT_GEOMETRY", "g_angle"): "upstream reads it and uses it nowhere; the wheels' places are the kind's own",
+    ("MOTORS", "max_motor_pwm"): "the motors' driver limits its own current",
+}
+"""Keys that real files have and that change nothing, with why."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What BaseControl works by, in SI units.
+
+    Attributes:
+        kinematics: of the base.
+        joints: its wheels' names at the driver, in order.
+        limits: what it may do.
+        full: what a joystick's 100 percent are.
+        inputs: who may command; the highest rank first.
+        period: seconds between two commands to the wheels.
+        motors_filter: corner frequency of the filter of what the wheels' speeds are told as; 0 for none.
+        odom_frame: the odometry's frame.
+        base_frame: the base's frame.
+        odom: topic of the odometry.
+        notes: what is odd in the file, each ``file:line: ...``.
+    """
+
+    kinematics: Kinematics
+    joints: tuple[str, ...]
+    limits: Limits
+    full: FullControl
+    inputs: tuple[BaseInput, ...]
+    period: float
+    motors_filter: int
+    odom_frame: str
+    base_frame: str
+    odom: str
+    notes: tuple[str, ...] = ()
+
+
+def settings(section: BaseControlSection) -> Settings:
+    """What a section and the file that it names say.
+
+    Raises:
+        RuntimeError: the file is not there or cannot be used, or the joints do not fit; the text says where and why.
+    """
+    notes: list[str] = []
+    if section.ini is not None:
+        try:
+            section, notes = with_file(section, Ini(section.ini))
+        except IniError as err:
+            raise RuntimeError(str(err)) from None
+    try:
+        base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
+    except KinematicsError as err:
+        raise RuntimeError(f"modules.base_control: {err}") from None
+    if section.joints and len(section.joints) != len(base.joints):
+        raise RuntimeError(
+            f"modules.base_control.joints: a base of the kind {section.kind} has {len(base.joints)} wheels, "
+            f"not {len(section.joints)}"
+        )
+    return Settings(
+        kinematics=base,
+        joints=section.joints or base.joints,
+        limits=limits(section),
+        full=FullControl(section.joystick_linear_vel, section.joystick_angular_vel),
+        inputs=section.inputs or INPUTS,
+        period=section.period,
+        motors_filter=section.motors_filter,
+        odom_frame=section.odom_frame,
+        base_frame=section.base_frame,
+        odom=section.odom,
+        notes=tuple(notes),
+    )
+
+
+def limits(section: BaseControlSection) -> Limits:
+    """A section's limits."""
+    return Limits(
+        linear=section.max_linear_vel,
+        angular=math.radians(section.max_angular_vel),
+        linear_acceleration=section.max_linear_acc,
+        linear_braking=section.max_linear_brake or section.max_linear_acc,
+        angular_acceleration=math.radians(section.max_angular_acc),
+        angular_braking=math.radians(section.max_angular_brake or section.max_angular_acc),
+        wheel=math.radians(section.max_motor_vel),
+        ratio=section.linear_angular_ratio,
+        filter_hz=section.input_filter,
+    )
+
+
+def with_file(section: BaseControlSection, ini: Ini) -> tuple[BaseControlSection, list[str]]:
+    """A section with what a ``baseCtrl`` file says laid under it: what the section itself sets is stronger.
+
+    Returns:
+        the section, and what is odd in the file.
+
+    Raises:
+        IniError: the file cannot be used.
+    """
+    found: dict[str, object] = {"period": ini.top.number("period", section.period, 0.001, 0.1, "s")}
+    local = ini.top.text("local", "")
+    if local:
+        found["prefix"] = "/" + local.strip("/")
+    _take_general(ini, ini.group(_GENERAL, needed=True), found, section)
+    geometry = ini.group(_GEOMETRY, needed=True)
+    found["wheel_radius"] = geometry.number("geom_r", None, 0.01, 1.0, "m")
+    found["wheel_distance"] = geometry.number("geom_L", None, 0.05, 3.0, "m")
+    motors = ini.group(_MOTORS)
+    found["max_motor_vel"] = motors.number("max_motor_vel", section.max_motor_vel, 1.0, 3600.0, "deg/s")
+    # upstream knows 10 as well, and takes any other for none
+    found["motors_filter"] = motors.choice("motors_filter_enabled", 0, (*FILTERS, 10)) % 10
+    stick = ini.group(_STICK)
+    for key, name, most in (("linear_vel", "linear", 3.0), ("angular_vel", "angular", 360.0)):
+        default = float(getattr(section, f"joystick_{name}_vel"))
+        found[f"joystick_{name}_vel"] = stick.number(f"{key}_at_full_control", default, 0.01, most)
+    _take_frames(ini, found)
+    inputs = _inputs(ini)
+    if inputs:
+        found["inputs"] = inputs
+    ini.note_unread(STALE, OTHERS)
+    ini.check()
+    found = {key: value for key, value in found.items() if key not in section.model_fields_set}
+    return section.model_copy(update=found), ini.notes
+
+
+def _take_general(ini: Ini, group: Group, found: dict[str, object], section: BaseControlSection) -> None:
+    kind = group.text("robot_type", "")
+    if kind not in KINDS:
+        ini.errors.append(
+            f"{group.where('robot_type')}: no base of the kind '{kind}' is driven yet; there are {' and '.join(KINDS)}"
+        )
+    found["kind"] = kind
+    found["max_linear_vel"] = group.number("max_linear_vel", None, 0.01, 3.0, "m/s")
+    found["max_angular_vel"] = group.number("max_angular_vel", None, 1.0, 360.0, "deg/s")
+    for axis, most, unit in (("linear", 10.0, "m/s2"), ("angular", 3600.0, "deg/s2")):
+        default = group.number(f"max_{axis}_acc", float(getattr(section, f"max_{axis}_acc")), 0.01, most, unit)
+        found[f"max_{axis}_acc"] = group.number(f"max_{axis}_acc_pos", default, 0.01, most, unit)
+        found[f"max_{axis}_brake"] = group.number(f"max_{axis}_acc_neg", default, 0.01, most, unit)
+    found["input_filter"] = group.choice("input_filter_enabled", 0, FILTERS)
+    group.number("linear_angular_ratio", 0.7, 0.0, 1.0)
+    if group.flag("ratio_limiter_enabled", default=False):
+        ini.notes.append(
+            f"{group.where('ratio_limiter_enabled')}: 'ratio_limiter_enabled 1' is left off: upstream's limiter never "
+            "acts, so the robot was never driven with it; linear_angular_ratio in modules.base_control switches ours on"
+        )
+
+
+def _take_frames(ini: Ini, found: dict[str, object]) -> None:
+    """The names that ``baseControl`` of before 2022 has for ROS."""
+    odometry = ini.group("ROS_ODOMETRY")
+    for key, name in (("odom_frame", "odom_frame"), ("base_frame", "base_frame"), ("topic_name", "odom")):
+        text = odometry.text(key, "")
+        if text:
+            found[name] = text
+
+
+def _inputs(ini: Ini) -> tuple[BaseInput, ...]:
+    """The inputs of the groups ``BASECTRL_INPUTS_i``, the highest rank first; none where there are no such groups."""
+    found: list[BaseInput] = []
+    general = ini.group(_GENERAL)
+    count = general.number("number_of_inputs", 0.0, 0.0, _MOST_INPUTS)
+    here = [number for number in range(_MOST_INPUTS) if _INPUT.format(number) in ini]
+    if count and here != list(range(int(count))):
+        told = ", ".join(_INPUT.format(number) for number in here) or "none"
+        ini.notes.append(f"{general.where('number_of_inputs')}: 'number_of_inputs {count:g}', but there are {told}")
+    for number in here:
+        group = ini.group(_INPUT.format(number))
+        name = group.text("input_name", f"input {number}")
+        timeout = group.number("max_timeout", 0.1, 0.01, 5.0, "s")
+        device = group.text("nws_name", _YARP_INPUT)
+        for key in ("local", "node_name", "topic_name"):
+            group.text(key, "")
+        if device == _YARP_INPUT:
+            found.append(BaseInput(name=name, timeout=timeout, ports=(group.text("local", f"input/{name}"),)))
+        else:
+            topic = "/" + group.text("topic_name", "cmd_vel").strip("/")
+            found.append(BaseInput(name=name, timeout=timeout, twist=(topic,)))
+    topic = ini.group("ROS_INPUT").text("topic_name", "")
+    if topic and not found:  # a file of before 2022: the ranks of its ports are fixed
+        found = [*INPUTS[:-1], INPUTS[-1].model_copy(update={"twist": ("/" + topic.strip("/"),)})]
+    return tuple(found)

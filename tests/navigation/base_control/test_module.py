@@ -1,0 +1,204 @@
+"""BaseControl on a hub and on YARP, with wheels that turn as they are told."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.hub.qos import Qos
+from bridge.messages.json import from_json, to_json
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.dev.basecontrol import MobileBaseVelocityControl, Odometry2DClient
+from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader, Writer
+
+JOINTS = "sensor_msgs/msg/JointState"
+TWIST = "geometry_msgs/Twist"
+RADIUS, DISTANCE = 0.16416, 0.338
+QUICK = {"max_linear_acc": 100.0, "max_angular_acc": 7000.0, "max_motor_vel": 3600.0}
+
+
+class Wheels:
+    """A motors' driver on the hub: turns as told, and stands still 0.1 s after the last command."""
+
+    def __init__(self, place: Place) -> None:
+        self._hub, self._registry = place.far.hub, place.far.registry
+        type_id = self._registry.ros2(JOINTS).type_id
+        self._out = self._hub.publisher("/joint_states", JOINTS, type_id, Qos())
+        self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._take)
+        self._told, self._told_at = [0.0, 0.0], 0.0
+        self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _take(self, sample: Any) -> None:
+        message = to_json(self._registry, JOINTS, sample.data())
+        assert message["name"] == self.names
+        self._told, self._told_at = message["velocity"], time.monotonic()
+
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """The base's: m/s, rad/s."""
+        left, right = self._told if time.monotonic() - self._told_at < 0.1 else (0.0, 0.0)
+        return (left + right) / 2 * RADIUS, (right - left) * RADIUS / DISTANCE
+
+    def _run(self) -> None:
+        angles, last = [0.0, 0.0], time.time()
+        while not self._ending.wait(0.01):
+            now = time.time()
+            angles = [angle + told * (now - last) for angle, told in zip(angles, self._told, strict=True)]
+            last = now
+            stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)}
+            message = {"header": {"stamp": stamp}, "name": self.names, "position": angles}
+            self._out.put(from_json(self._registry, JOINTS, message))
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture
+def wheels(place: Place) -> Iterator[Wheels]:
+    made = Wheels(place)
+    yield made
+    made.close()
+
+
+def started(place: Place, **section: Any) -> None:
+    place.worker.start(place.config(modules={"base_control": {"enabled": True, **QUICK, **section}}))
+
+
+def drives(wheels: Wheels, x: float, turn: float) -> Callable[[], bool]:
+    return lambda: wheels.velocity == pytest.approx((x, turn), abs=1e-6)
+
+
+def twist(x: float, turn: float) -> dict[str, Any]:
+    return {"linear": {"x": x, "y": 0.5, "z": 0.25}, "angular": {"x": 0.75, "y": 0.125, "z": turn}}
+
+
+def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheels: Wheels) -> None:
+    odometry = place.far.subscribe("/odom", "nav_msgs/Odometry")
+    frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
+    started(place)
+    out = place.far.advertise("/cmd_vel", TWIST)
+
+    def driven() -> bool:
+        place.far.publish(out, twist(0.2, -0.5))
+        return drives(wheels, 0.2, -0.5)()
+
+    until(driven, "the wheels turn as told", 20)
+    until(drives(wheels, 0.0, 0.0), "they stop when nobody commands", 10)
+    last = place.far.wait(odometry, 1)[-1]
+    assert (last["header"]["frame_id"], last["child_frame_id"]) == ("odom", "base_link")
+    assert last["pose"]["pose"]["position"]["x"] > 0.0
+    (transform,) = place.far.wait(frames, 1)[-1]["transforms"]
+    assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_link")
+    until(lambda: "/joint_states" in str(place.status("base_control")), "status tells of it")
+    place.worker.stop()
+    assert wheels.velocity == (0.0, 0.0)
+
+
+def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
+    started(place)
+    out = place.far.advertise("/cmd_vel", TWIST)
+
+    def refused() -> Any:
+        place.far.publish(out, {"linear": {"x": 50.0}})
+        return "above 10 m/s" in str(place.status("base_control"))
+
+    until(refused, "the command is refused, and status says why", 20)
+    assert wheels.velocity == (0.0, 0.0)
+
+
+def test_no_encoders_are_told(place: Place) -> None:
+    started(place)
+    until(lambda: "no wheel encoders" in place.worker.health().text, "it waits for encoders")
+
+
+def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels) -> None:
+    started(place)
+    out = place.far.advertise("/joy", "sensor_msgs/Joy")
+    held = {"axes": [0.5, 1.0], "buttons": [0, 0, 0, 0, 1]}
+    until(lambda: (place.far.publish(out, held), drives(wheels, 0.3, math.radians(15))())[1], "the gamepad drives", 20)
+    until(
+        lambda: (place.far.publish(out, {**held, "buttons": []}), drives(wheels, 0.0, 0.0)())[1],
+        "a button that is let go stops it",
+        20,
+    )
+
+
+def test_halt_forgets_commands(place: Place, wheels: Wheels) -> None:
+    started(place, inputs=[{"name": "long", "timeout": 5.0, "twist": ["/cmd_vel"]}])
+    out = place.far.advertise("/cmd_vel", TWIST)
+    until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
+    answers = place.far.hub.ask("halt", {}, worker="base_control")
+    assert [answer.value for answer in answers] == [{"halted": True}]
+    until(drives(wheels, 0.0, 0.0), "it stands", 4)
+
+
+def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> None:
+    started(place)
+    names = place.names
+    with NameServer(port=place.port, gc_seconds=0):
+        until(lambda: names.query("/baseControl/rpc"), "the ports are there", 20)
+        until(lambda: "waiting" not in str((place.status("base_control") or {}).get("ports")), "all are open", 20)
+        with MobileBaseVelocityControl("/baseControl/input/command/rpc:i", naming=names) as base:
+            until(lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1], "by RPC", 20)
+            outcome, x, y, turn = base.getLastVelocityCommand()
+            assert outcome
+            assert (x, y, turn) == pytest.approx((0.1, 0.0, 90.0))
+            assert not base.applyVelocityCommand(math.nan, 0.0, 0.0)
+        until(lambda: base_input(place) == "", "the command input has given back", 20)
+        velocity = MobileBaseVelocity(0.05, 0.0, 20.0)
+        with Writer("/test/command:o", naming=names) as writer:
+            for port, content, wanted in (
+                ("/baseControl/input/command/data:i", velocity, (0.05, math.radians(20.0))),
+                ("/baseControl/control:i", [2, 180.0, 0.1, 10.0, 100.0], (-0.1, math.radians(10.0))),
+                ("/baseControl/aux_control:i", velocity, (0.05, math.radians(20.0))),
+                ("/baseControl/joystick1:i", [1, 0.0, 50.0, -100.0, 100.0], (0.15, math.radians(-30.0))),
+            ):
+                writer.connect(port)
+                until(lambda c=content, w=wanted: (writer.write(c), drives(wheels, *w)())[1], f"by {port}", 20)
+                connections.disconnect(names, "/test/command:o", port)
+        until(drives(wheels, 0.0, 0.0), "it stands still again", 10)
+        with Reader("/test/odometry:i", naming=names) as reader, Client("/baseControl/rpc", naming=names) as words:
+            connections.connect(names, "/baseControl/odometry/odometry:o", "/test/odometry:i")
+            received = reader.read()
+            assert received is not None
+            found = received.to(OdometryData)
+            assert found.odom_x != 0.0
+            count, stamp = received.envelope.split()
+            assert int(count) >= 0
+            assert float(stamp) > 1e9
+            with Odometry2DClient("/baseControl/odometry/rpc", naming=names) as odometry:
+                assert odometry.resetOdometry()
+            until(lambda: zeroed(reader), "the odometry begins anew", 20)
+            assert words.ask(["set_max_lin_vel", 0.2], timeout=10) == ["Max linear velocity set."]
+            assert words.ask(["help"], timeout=10)[0] == "[many]"
+            assert "is no command" in str(words.ask(["dance"], timeout=10))
+
+
+def base_input(place: Place) -> str:
+    return str((place.status("base_control") or {}).get("input"))
+
+
+def zeroed(reader: Reader) -> bool:
+    received = reader.read()
+    assert received is not None
+    return received.to(OdometryData).odom_x == 0.0

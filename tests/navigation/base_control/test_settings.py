@@ -1,0 +1,175 @@
+"""Sections and files of existing robots."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from bridge.config.sections.base_control import INPUTS, BaseControlSection
+from navigation.base_control.limits import Limits
+from navigation.base_control.settings import Settings, settings
+
+R1 = """\
+local         baseControl   // the module's ports
+robot         cer
+part          mobile_base
+period        0.020
+[BASECTRL_GENERAL]
+control_mode            velocity_no_pid   // none, velocity_pid, ...
+robot_type              cer
+linear_angular_ratio    0.7
+ratio_limiter_enabled   0
+input_filter_enabled    0
+max_linear_vel          0.30  // m/s
+max_angular_vel         30
+max_linear_acc          0.30
+max_angular_acc         80.0
+number_of_inputs        3
+
+[BASECTRL_INPUTS_0]
+input_name    joystick
+nws_name      mobileBaseVelocityControl_nws_yarp
+local         /baseControl/input/joystick
+max_timeout   0.2
+[BASECTRL_INPUTS_1]
+input_name    aux
+local         /baseControl/input/aux
+[BASECTRL_INPUTS_2]
+input_name    ros2
+nws_name      mobileBaseVelocityControl_nws_ros2
+node_name     mobile_base
+topic_name    /cmd_vel
+max_timeout   0.5
+[include "geometry.ini"]
+[MOTORS]
+max_motor_pwm         10000
+max_motor_vel         100
+motors_filter_enabled 4
+[JOYSTICK]
+linear_vel_at_full_control    0.25
+angular_vel_at_full_control   40
+[LINEAR_VELOCITY_PID]
+kp 0
+"""
+GEOMETRY = "[ROBOT_GEOMETRY]\ngeom_r  0.160  # metres\ngeom_L  0.340\ng_angle 0.0\n"
+OLD = """\
+robot ikart
+[BASECTRL_GENERAL]
+robot_type ikart_V1
+max_linear_vel 0.4
+max_angular_vel 50
+[ROBOT_GEOMETRY]
+geom_r 62.5e-3
+geom_L 273.0e-3
+[MOTORS]
+[JOYSTICK]
+[ROS_INPUT]
+topic_name /robot/cmd_vel
+[ROS_ODOMETRY]
+odom_frame odometry
+base_frame mobile_base_body_link
+topic_name /odometry
+"""
+
+
+def read(folder: Path, text: str, **section: object) -> Settings:
+    (folder / "geometry.ini").write_text(GEOMETRY)
+    file = folder / "baseCtrl.ini"
+    file.write_text(text)
+    return settings(BaseControlSection(ini=file, **section))  # type: ignore[arg-type]
+
+
+def test_what_holds_by_default_is_r1() -> None:
+    found = settings(BaseControlSection())
+    assert found.limits == Limits()
+    assert found.joints == ("mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint")
+    assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
+
+
+def test_a_file_of_r1(tmp_path: Path) -> None:
+    found = read(tmp_path, R1)
+    assert found.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
+    assert found.limits == Limits(ratio=None)
+    assert found.motors_filter == 4
+    assert found.full == (0.25, 40.0)
+    told = [(one.name, one.timeout, one.ports, one.twist) for one in found.inputs]
+    assert told == [
+        ("joystick", 0.2, ("/baseControl/input/joystick",), ()),
+        ("aux", 0.1, ("/baseControl/input/aux",), ()),
+        ("ros2", 0.5, (), ("/cmd_vel",)),
+    ]
+    notes = [note.removeprefix(str(tmp_path)) for note in found.notes]
+    assert [note.split(": ")[0] for note in notes] == ["/geometry.ini:4", "/baseCtrl.ini:33"]
+    assert "'g_angle' does nothing" in notes[0]
+    assert "'max_motor_pwm' does nothing" in notes[1]
+
+
+def test_a_file_of_before_2022(tmp_path: Path) -> None:
+    found = read(tmp_path, OLD)
+    assert found.kinematics.holonomic
+    assert (found.odom_frame, found.base_frame, found.odom) == ("odometry", "mobile_base_body_link", "/odometry")
+    assert [one.name for one in found.inputs] == [one.name for one in INPUTS]
+    assert found.inputs[-1].twist == ("/robot/cmd_vel",)
+    assert not found.notes
+
+
+def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
+    found = read(tmp_path, R1, max_linear_vel=0.1, base_frame="mobile_base_body_link")
+    assert found.limits.linear == 0.1
+    assert found.limits.angular == math.radians(30.0)
+    assert found.base_frame == "mobile_base_body_link"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("max_linear_vel          0.30", "max_linear_vel 300 // mm/s", ":11: 'max_linear_vel 300' is not believed"),
+        (
+            "max_timeout   0.2",
+            "max_timeout 200",
+            ":21: 'max_timeout 200' is not believed: it is within 0.01 and 5 s; 0.1",
+        ),
+        ("ratio_limiter_enabled   0", "ratio_limiter_enabled 1", ":9: 'ratio_limiter_enabled 1' is left off"),
+        (
+            "number_of_inputs        3",
+            "number_of_inputs 2",
+            ":15: 'number_of_inputs 2', but there are BASECTRL_INPUTS_0",
+        ),
+        ("[JOYSTICK]", "[JOYSTIK]", ": the group [JOYSTIK] is not read"),
+        ("robot         cer", "robott cer", ":2: 'robott' does nothing"),
+    ],
+)
+def test_what_is_odd_is_named_with_file_and_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+    assert old in R1
+    found = read(tmp_path, R1.replace(old, new, 1))
+    assert any(says in note for note in found.notes), found.notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("cer\nlinear", "ikart_V2\nlinear", "baseCtrl.ini:7: no base of the kind 'ikart_V2' is driven yet"),
+        ('[include "geometry.ini"]', "", "the group [ROBOT_GEOMETRY] is missing"),
+        ("max_linear_vel          0.30", "", "baseCtrl.ini:5: 'max_linear_vel' is missing"),
+        ("max_linear_vel          0.30", "max_linear_vel fast", "baseCtrl.ini:11: 'max_linear_vel' is a number"),
+        ("input_filter_enabled    0", "input_filter_enabled 3", "baseCtrl.ini:10: 'input_filter_enabled' is one of"),
+        ("ratio_limiter_enabled   0", "ratio_limiter_enabled 7", "baseCtrl.ini:9: 'ratio_limiter_enabled' is 0 or 1"),
+    ],
+)
+def test_what_cannot_be_used_is_an_error_with_file_and_line(tmp_path: Path, old: str, new: str, says: str) -> None:
+    assert old in R1
+    with pytest.raises(RuntimeError) as refused:
+        read(tmp_path, R1.replace(old, new, 1))
+    assert says in str(refused.value)
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="no such file"):
+        settings(BaseControlSection(ini=tmp_path / "none.ini"))
+
+
+def test_joints_that_do_not_fit() -> None:
+    with pytest.raises(RuntimeError, match="has 2 wheels, not 1"):
+        settings(BaseControlSection(joints=("one",)))
