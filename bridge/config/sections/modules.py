@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.section import Section
 from bridge.config.sections.transforms import TransformServerSection
@@ -46,6 +47,10 @@ class ModulesSection(Section):
 
     enabled: Literal["auto", False] = Field(
         default="auto", description="`auto`: those that are switched on run; `false`: none does."
+    )
+    base_control: BaseControlSection = Field(
+        default_factory=BaseControlSection,
+        description="Drives a mobile base as its inputs command; see docs/base_control.md.",
     )
     transform_server: TransformServerSection = Field(
         default_factory=TransformServerSection,
