@@ -142,8 +142,8 @@ def _without_marker(text: str) -> str:
     return text.partition(";")[0].strip()
 
 
-def write(file: str, of_systems: Mapping[System, Versions]) -> None:
-    """Write one lock file, sorted by name."""
+def write(file: str, of_systems: Mapping[System, Versions], own: Mapping[str, str]) -> None:
+    """Write one lock file, sorted by name; ``own`` are markers that packages keep, by name, as newer Pythons need."""
     systems_of: dict[tuple[str, str], list[System]] = {}
     for system, versions in of_systems.items():
         for pin in versions.items():
@@ -151,6 +151,7 @@ def write(file: str, of_systems: Mapping[System, Versions]) -> None:
     lines = []
     for (name, version), systems in sorted(systems_of.items(), key=lambda item: (item[0][0].lower(), item[0][1])):
         marker = "" if len(systems) == len(SYSTEMS) else " ; " + " or ".join(system.marker for system in systems)
+        marker = own.get(canonicalize_name(name), marker)
         lines.append(f"{name}=={version}{marker}\n")
     (ROOT / file).write_text(HEAD + "".join(lines), encoding="utf-8")
 
@@ -159,7 +160,7 @@ def main() -> None:
     """Resolve everything at once for each system, then find out which part needs no ROS 2 wheels."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    base = [*project["dependencies"], *extras["dev"]]
+    base = [*project["dependencies"], *extras["sim"], *extras["dev"]]
     plain: dict[System, Versions] = {}
     ros2: dict[System, Versions] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -171,8 +172,9 @@ def main() -> None:
                 same = [f"{name}=={whole[name]}" for name in alone if name in whole]
                 plain[system] = resolve([*base, *same], system, Path(folder))
             ros2[system] = {name: version for name, version in whole.items() if name not in plain[system]}
-    write("requirements.lock", plain)
-    write("requirements-ros2.lock", ros2)
+    own = {str(canonicalize_name(r.name)): f" ; {r.marker}" for r in map(Requirement, extras["sim"]) if r.marker}
+    write("requirements.lock", plain, own)
+    write("requirements-ros2.lock", ros2, own)
 
 
 if __name__ == "__main__":

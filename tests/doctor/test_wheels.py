@@ -15,6 +15,7 @@ from tests.doctor.parts import around, only
 
 WINDOWS = {"sys_platform": "win32", "platform_machine": "AMD64"}
 LINUX = {"sys_platform": "linux", "platform_machine": "x86_64"}
+DART = ["dartpy"]
 ROS2 = ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces"]
 
 
@@ -36,12 +37,17 @@ def test_nothing_is_left_out_on_linux(requirements: list[str]) -> None:
     assert only(wheels.compare(around(), requirements, LINUX)).result is Result.OK
 
 
-@pytest.mark.parametrize(
-    "system",
-    [WINDOWS, {"sys_platform": "darwin", "platform_machine": "arm64"}, {**LINUX, "platform_machine": "aarch64"}],
-)
-def test_other_systems_lack_ros2(requirements: list[str], system: dict[str, str]) -> None:
-    assert wheels.left_out(requirements, system) == {"ros2": ROS2}
+@pytest.mark.parametrize("system", [WINDOWS, {"sys_platform": "darwin", "platform_machine": "arm64"}])
+def test_other_systems_lack_ros2_and_dart(requirements: list[str], system: dict[str, str]) -> None:
+    assert wheels.left_out(requirements, system) == {"ros2": ROS2, "sim": DART}
+
+
+def test_another_processor_lacks_ros2(requirements: list[str]) -> None:
+    assert wheels.left_out(requirements, {**LINUX, "platform_machine": "aarch64"}) == {"ros2": ROS2}
+
+
+def test_a_newer_python_lacks_dart(requirements: list[str]) -> None:
+    assert wheels.left_out(requirements, {**LINUX, "python_version": "3.14"}) == {"sim": DART}
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from packaging.utils import canonicalize_name
 
 from tests.setup.machine import ROOT
 
-PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+( ; [a-z0-9_= \"]+)?")
+PIN = re.compile(r"[A-Za-z0-9._-]+==[A-Za-z0-9.]+( ; [a-z0-9_=<. \"]+)?")
 FILES = ("requirements.lock", "requirements-ros2.lock")
 SYSTEMS: dict[str, dict[str, str]] = {
     "Linux": {"sys_platform": "linux", "platform_system": "Linux", "os_name": "posix", "platform_machine": "x86_64"},
@@ -61,7 +61,7 @@ def project() -> dict[str, Any]:
 def test_every_requirement_is_locked(system: str) -> None:
     extras = project()["optional-dependencies"]
     plain = pins("requirements.lock", system=system)
-    assert lacking([*project()["dependencies"], *extras["dev"]], plain, system) == []
+    assert lacking([*project()["dependencies"], *extras["sim"], *extras["dev"]], plain, system) == []
     assert lacking(extras["ros2"], pins("requirements-ros2.lock", system=system), system) == []
 
 
