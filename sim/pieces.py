@@ -1,0 +1,130 @@
+"""What stands fast on a floor, as simple solids: DART touches them and the laser sees them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.plan import Box, Door, Floor, Person, Point, Round
+
+_ON_LINE = 0.02
+"""Metres that a door's post may lie beside its wall's middle line."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An upright solid: a box, or a cylinder where it has a radius.
+
+    Attributes:
+        name: "" for one that nobody names.
+        x: its middle, metres.
+        y: its middle, metres.
+        yaw: radians.
+        length: metres, along its own x.
+        width: metres.
+        height: metres.
+        radius: metres; 0 for a box.
+    """
+
+    name: str
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    height: float
+    radius: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """How far from its middle it reaches, metres."""
+        return self.radius or math.hypot(self.length, self.width) / 2
+
+    def moved(self, x: float, y: float, yaw: float) -> Piece:
+        """The same one elsewhere."""
+        return replace(self, x=x, y=y, yaw=yaw)
+
+    def corners(self) -> NDArray[np.float64]:
+        """A box's four corners, counterclockwise, (4, 2) metres."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        half = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (self.length / 2, self.width / 2)
+        turned: NDArray[np.float64] = half @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+        return turned
+
+    def segments(self) -> NDArray[np.float64]:
+        """A box's four sides, (4, 4): x1, y1, x2, y2 in metres."""
+        corners = self.corners()
+        return np.hstack([corners, np.roll(corners, -1, axis=0)])
+
+
+def bar(name: str, a: Point, b: Point, thickness: float, height: float, *, beyond: float = 0.0) -> Piece:
+    """A piece of wall from one point to another, and so much beyond both."""
+    length = math.hypot(b[0] - a[0], b[1] - a[1])
+    yaw = math.atan2(b[1] - a[1], b[0] - a[0])
+    return Piece(name, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, yaw, length + 2 * beyond, thickness, height)
+
+
+def walls(floor: Floor) -> Iterator[Piece]:
+    """The walls, with holes where doors and openings are."""
+    holes = [door.line for door in floor.doors] + list(floor.openings)
+    for line in floor.walls:
+        for a, b in itertools.pairwise(line):
+            for start, end, first, last in _standing(a, b, holes):
+                # corners are closed; at a hole the wall ends where the hole begins
+                half = floor.thickness / 2
+                length = math.hypot(b[0] - a[0], b[1] - a[1])
+                begin, stop = start - half * first, end + half * last
+                ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+                one = (a[0] + ux * begin, a[1] + uy * begin)
+                other = (a[0] + ux * stop, a[1] + uy * stop)
+                yield bar("", one, other, floor.thickness, floor.height)
+
+
+def _standing(a: Point, b: Point, holes: Iterable[tuple[Point, Point]]) -> Iterator[tuple[float, float, bool, bool]]:
+    """What is left of a wall: from, to (metres from ``a``), and whether each is the wall's own end."""
+    length = math.hypot(b[0] - a[0], b[1] - a[1])
+    if length < 1e-6:
+        return
+    cuts = sorted(cut for hole in holes if (cut := _cut(a, b, length, hole)) is not None)
+    at = 0.0
+    for begin, end in cuts:
+        if begin > at + 1e-6:
+            yield at, begin, at == 0.0, False
+        at = max(at, end)
+    if at < length - 1e-6:
+        yield at, length, at == 0.0, True
+
+
+def _cut(a: Point, b: Point, length: float, hole: tuple[Point, Point]) -> tuple[float, float] | None:
+    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+    along = sorted((p[0] - a[0]) * ux + (p[1] - a[1]) * uy for p in hole)
+    beside = max(abs((p[1] - a[1]) * ux - (p[0] - a[0]) * uy) for p in hole)
+    if beside > _ON_LINE or along[1] <= 1e-6 or along[0] >= length - 1e-6:
+        return None
+    return max(along[0], 0.0), min(along[1], length)
+
+
+def leaf(door: Door, floor: Floor) -> Piece:
+    """A door's leaf when it is closed."""
+    return bar(door.name, *door.line, min(floor.thickness, 0.06), floor.height)
+
+
+def of_box(box: Box) -> Piece:
+    """A box."""
+    x, y, yaw = box.at
+    return Piece(box.name, x, y, math.radians(yaw), *box.size)
+
+
+def of_round(thing: Round) -> Piece:
+    """A round thing."""
+    return Piece(thing.name, *thing.at, 0.0, 0.0, 0.0, thing.height, thing.radius)
+
+
+def of_person(person: Person) -> Piece:
+    """A person, where the plan has them at the start."""
+    return Piece(person.name, *person.at, 0.0, 0.0, 0.0, 1.7, person.radius)

@@ -1,0 +1,203 @@
+"""The whole simulation, without a clock of its own: whoever holds it says how far it goes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from bridge.config.sections.sim import SimSection
+from sim import plans, robot
+from sim.base import STEP_NS, Encoders, Pose, Twist, make_base
+from sim.battery import Battery
+from sim.commands import Drive
+from sim.errors import SimError
+from sim.laser import Laser, Scan
+from sim.odometry import Estimate, Odometry, Sensed
+from sim.plan import Plan
+from sim.world import World
+
+TICK_NS = 10_000_000
+"""Time passes by ticks: between them commands are constant."""
+
+_STEPS = TICK_NS // STEP_NS
+_LOOK_NS = 50_000_000
+
+
+class Motors:
+    """The wheels' motors: what BaseControl drives (in process; over the hub it is two topics).
+
+    Attributes:
+        names: of the wheels' joints, in the order of all velocities and positions.
+    """
+
+    def __init__(self, names: tuple[str, ...], timeout: float) -> None:
+        self.names = names
+        self._timeout = round(timeout * 1e9)
+        self._wanted = np.zeros(len(names))
+        self._until = 0
+        self.now = 0
+        self._encoders = Encoders(0, np.zeros(len(names)), np.zeros(len(names)))
+
+    def drive(self, velocities: Sequence[float]) -> None:
+        """Turn the wheels so (radians per second) from now on; 0.1 s after the last call they stop.
+
+        Raises:
+            SimError: not as many as there are wheels, or not finite.
+        """
+        wanted = np.asarray(velocities, float)
+        if wanted.shape != (len(self.names),) or not np.isfinite(wanted).all():
+            msg = f"{list(velocities)} are no velocities for the wheels {', '.join(self.names)}"
+            raise SimError(msg)
+        self._wanted, self._until = wanted, self.now + self._timeout
+
+    def encoders(self) -> Encoders:
+        """What the encoders said last."""
+        return self._encoders
+
+    def read(self, encoders: Encoders) -> None:
+        """Take up what they say now."""
+        self._encoders = encoders
+
+    def wheels(self) -> np.ndarray:
+        """What the motors are to do now."""
+        return self._wanted if self.now < self._until else np.zeros(len(self.names))
+
+
+class Simulation:
+    """A robot on a floor.
+
+    The same section and the same commands at the same times give the same run, bit for bit.
+
+    Args:
+        section: what is simulated.
+        plan: the building, where it is not the section's.
+        described: the robot, where it is not the section's.
+
+    Raises:
+        SimError: the plan, the robot or where it is to start is wrong; or dartpy is missing.
+    """
+
+    def __init__(self, section: SimSection, plan: Plan | None = None, described: robot.Robot | None = None) -> None:
+        self.section = section
+        self.plan = plan or plans.load(section.plan, section.resolution)
+        self.robot = described or robot.load(section.robot)
+        self.time_ns = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew, as at the start, at the time that it is."""
+        section = self.section
+        noise = np.random.default_rng(section.seed)
+        encoder_noise, laser_noise = noise.spawn(2)
+        self.base = make_base(self.robot)
+        self.floor = self.plan.first
+        self.world = World(self.plan.floors[self.floor], self.base, self.robot.lasers.height)
+        self.world.place(pose(*(section.start or self.world.floor.start)))
+        self.laser = Laser(section.laser, self.robot.lasers, laser_noise)
+        self.motors = Motors(self.base.names, self.robot.motor_timeout)
+        self.drive = Drive(self.base)
+        self.battery = Battery(self.robot.battery)
+        self.stopped = False
+        self.bumps: list[tuple[float, float]] = []
+        self._sensed = Sensed(self.base, section.encoders, encoder_noise)
+        self.odometry = Odometry(self.base)
+        self._turn_ns = round(1e9 / section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
+        self._begun = self.time_ns
+        self._sense()
+        self.scan = self._scan()
+
+    def tick(self) -> None:
+        """Let 10 ms pass."""
+        seconds = TICK_NS / 1e9
+        self.motors.now = self.time_ns
+        wheels = self.drive.wheels(self.time_ns, seconds) if self.section.drive == "velocity" else self.motors.wheels()
+        self.base.turn((wheels if not self.stopped else np.zeros(len(wheels))).tolist())
+        self.world.walk(seconds)
+        self.world.step(_STEPS)
+        self.time_ns += TICK_NS
+        since = self.time_ns - self._begun
+        if since % _LOOK_NS == 0:
+            self.world.look()
+            self.battery.use(self.base.load(), _LOOK_NS / 1e9)
+        self.bumps = self.world.bumps()
+        self._sense()
+        if since % self._turn_ns == 0:
+            self.scan = self._scan()
+
+    def run(self, seconds: float) -> None:
+        """Let so much time pass, in whole ticks."""
+        for _ in range(round(seconds * 1e9 / TICK_NS)):
+            self.tick()
+
+    def command(self, twist: Twist) -> None:
+        """Drive so, until the time-out; where the simulator drives by itself.
+
+        Raises:
+            SimError: it is not finite, or absurd.
+        """
+        self.drive.command(twist, self.time_ns)
+
+    def stop(self, *, on: bool) -> None:
+        """The emergency stop: while it is on, the wheels hold still whatever comes."""
+        self.stopped = on
+        self.drive.halt()
+
+    def teleport(self, to: Pose) -> None:
+        """Stand the robot elsewhere on its floor; its odometry does not notice.
+
+        Raises:
+            SimError: something stands there.
+        """
+        self.world.place(to)
+
+    def ride(self, name: str) -> str:
+        """Take a link to another floor, from near to one of its ends; the floor that it led to.
+
+        Raises:
+            SimError: there is none of that name, or it is not near.
+        """
+        link = next((link for link in self.plan.links if link.name == name), None)
+        if link is None:
+            msg = f"there is no link {name!r}; links: {', '.join(link.name for link in self.plan.links) or 'none'}"
+            raise SimError(msg)
+        here = next((i for i, (floor, _) in enumerate(link.split) if floor == self.floor), None)
+        at = self.base.pose()
+        if here is not None:
+            x, y, _ = self.world.floor.places[link.split[here][1]]
+            if math.hypot(at.x - x, at.y - y) <= _LINK_REACH:
+                floor, place = link.split[1 - here]
+                self._enter(floor, pose(*self.plan.floors[floor].places[place]))
+                return floor
+        msg = f"the robot is not within {_LINK_REACH:g} m of an end of the link {name!r}"
+        raise SimError(msg)
+
+    def _enter(self, floor: str, at: Pose) -> None:
+        old = self.world
+        old.leave()
+        self.world = World(self.plan.floors[floor], self.base, self.robot.lasers.height)
+        self.floor = floor
+        self.world.place(at)
+
+    def _sense(self) -> None:
+        encoders = self._sensed.read(self.time_ns)
+        self.motors.now = self.time_ns
+        self.motors.read(encoders)
+        self.odometry.add(encoders)
+
+    def _scan(self) -> Scan:
+        return self.laser.scan(self.time_ns, self.base.pose(), *self.world.seen())
+
+    @property
+    def estimate(self) -> Estimate:
+        """Odometry now."""
+        return self.odometry.now
+
+
+_LINK_REACH = 1.0
+
+
+def pose(x: float, y: float, degrees: float) -> Pose:
+    """A pose as plans have it."""
+    return Pose(x, y, math.radians(degrees))
