@@ -1,0 +1,137 @@
+"""ROS 1 services: what clients send to a server of ours, and what a server sends to a caller of ours."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+from bridge.hub.call import CallError
+from tests.fuzz.target import Subject, Target
+
+_LIMIT = 80_000
+_SIZES = [struct.pack("<I", n) for n in (0, 1, 5, 65_536, 65_537, _LIMIT, _LIMIT + 1, 2**31, 2**32 - 1)]
+
+
+class _Plain(socket.socket):
+    """A socket pair is no TCP connection."""
+
+    def setsockopt(self, *_: Any) -> None:
+        pass
+
+
+class _Loop:
+    """What stands for the thread that reads all connections: the test reads one."""
+
+    def __init__(self) -> None:
+        self.reads = threading.Event()
+        self.over = threading.Event()
+
+    def add(self, _connection: Any) -> bool:
+        self.reads.set()
+        return True
+
+    def remove(self, _connection: Any) -> None:
+        self.reads.clear()
+
+    def listen(self, connection: Any, *, data: bool) -> None:
+        connection.listens = data
+
+
+def _drive(connection: Any, loop: _Loop) -> None:
+    """Read a connection to its end, as the common thread does; a thread of its own may read a large message."""
+    connection.start()
+    while not loop.over.is_set():
+        if loop.reads.wait(0.001) and not loop.over.is_set():
+            connection.ready()
+
+
+def _patched() -> Any:
+    from bridge.adapters.ros1 import service_loop
+
+    service_loop.keep_alive = lambda _sock: None  # type: ignore[attr-defined]
+    service_loop.socket = SimpleNamespace(**{**vars(socket), "socket": _Plain})  # type: ignore[attr-defined]
+    return service_loop
+
+
+def _said(data: bytes) -> tuple[socket.socket, socket.socket]:
+    """A connection on which a peer has said these bytes and says no more, and the peer."""
+    ours, theirs = socket.socketpair()
+    theirs.sendall(data)
+    theirs.shutdown(socket.SHUT_WR)
+    return ours, theirs
+
+
+def _frame(body: bytes, head: bytes = b"") -> bytes:
+    return head + struct.pack("<I", len(body)) + body
+
+
+def _requests() -> Subject:
+    """A client's requests on a persistent connection: each is answered before the next is read."""
+    _patched()
+    from bridge.adapters.ros1.service_server import _Client
+
+    def parse(data: bytes) -> None:
+        asked: list[bytes] = []
+
+        def call(request: bytes, done: Any) -> Any:
+            asked.append(request)
+            done(b"ok" if len(request) % 2 else CallError("no"))
+            return lambda: None
+
+        loop = _Loop()
+        server = SimpleNamespace(is_open=True, call=call, name="/s", gone="", left=lambda _client: loop.over.set())
+        ours, theirs = _said(data)
+        with theirs:
+            _drive(_Client(ours, server, loop, _LIMIT, persistent=True), loop)  # type: ignore[arg-type]
+        taken = [_frame(request) for request in asked]
+        assert data.startswith(b"".join(taken)) or any(size > _LIMIT for size in _announced(data))
+
+    seeds = [_frame(b"\1") * 3, _frame(b""), _frame(bytes(5000)) + _frame(b"x"), _frame(bytes(66_000))]
+    return Subject(parse, seeds, (), _SIZES)
+
+
+def _announced(data: bytes) -> list[int]:
+    """The lengths of the frames that are read, those past the limit among them."""
+    sizes, at = [], 0
+    while at + 4 <= len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        sizes.append(size)
+        at += 4 + size
+    return sizes
+
+
+def _replies() -> Subject:
+    """What a server answers to one request: the call ends once."""
+    _patched()
+    from bridge.adapters.ros1.service_caller import _Line, _Pending
+
+    def parse(data: bytes) -> None:
+        ends: list[bytes | CallError] = []
+        loop = _Loop()
+        owner = SimpleNamespace(freed=lambda _line, **_: None, lost=lambda _line, _trouble: loop.over.set())
+        ours, theirs = _said(data)
+        with theirs:
+            line = _Line(ours, SimpleNamespace(node="/server"), owner, loop, _LIMIT)  # type: ignore[arg-type]
+            line.begin(_Pending(b"request", ends.append, lambda _pending: None))
+            _drive(line, loop)
+        (end,) = ends
+        whole = len(data) >= 5 and 5 + (size := struct.unpack_from("<I", data, 1)[0]) <= len(data) and size <= _LIMIT
+        assert isinstance(end, bytes) == bool(whole and data[0])
+        assert not isinstance(end, bytes) or end == data[5 : 5 + size]
+
+    seeds = [
+        _frame(b"yes", b"\1"),
+        _frame(b"the arm is stuck", b"\0"),
+        _frame(b"", b"\1") + b"more",
+        _frame(bytes(66_000), b"\1"),
+    ]
+    return Subject(parse, seeds, (), _SIZES)
+
+
+TARGETS = (
+    Target("ros1_requests", 3_000, _requests),
+    Target("ros1_replies", 4_000, _replies),
+)
