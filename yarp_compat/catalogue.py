@@ -7,10 +7,14 @@ import re
 from typing import Any
 
 _PLACES = {
+    "dev.frametransform": "FrameTransform",
+    "dev.frametransform_client": "TransformClient",
+    "dev.iframetransform": "IFrameTransform",
     "dev.laserscan": "LaserMeasurementData LaserScan2D",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
     "dev.map2d_client": "IMap2D Map2DClient",
-    "dev.mapgrid": "MapFlag MapGrid2D",
+    "dev.mapflag": "MapFlag",
+    "dev.mapgrid": "MapGrid2D",
     "dev.mapinfo": "MapGrid2DInfo MapGrid2DOrigin",
     "dev.odometry": "MobileBaseVelocity OdometryData",
     "dev.returnvalue": "ReturnValue",

@@ -1,7 +1,13 @@
-"""Places on maps (`yarp/dev/Map2DLocation.h`, `Map2DObject.h`, `Map2DArea.h`, `Map2DPath.h`)."""
+"""Places on maps (`yarp/dev/Map2DLocation.h`, `Map2DObject.h`, `Map2DArea.h`, `Map2DPath.h`).
+
+Two are equal where their descriptions are too, on which YARP does not look.
+"""
 
 from __future__ import annotations
 
+import math
+import random
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from yarp_compat.dev.structure import Structure
@@ -25,6 +31,23 @@ class Map2DLocation(Structure):
     y: float = 0.0
     theta: float = 0.0
     description: str = ""
+
+    def is_near_to(
+        self, other_loc: Map2DLocation, linear_tolerance: float, angular_tolerance: float = math.inf
+    ) -> bool:
+        """Whether another pose is on the same map, and not further away than so many metres and degrees."""
+        if self.map_id != other_loc.map_id or linear_tolerance < 0 or angular_tolerance < 0:
+            return False
+        if math.hypot(self.x - other_loc.x, self.y - other_loc.y) > linear_tolerance:
+            return False
+        return (
+            math.isinf(angular_tolerance)
+            or abs(math.remainder(other_loc.theta - self.theta, 360.0)) <= angular_tolerance
+        )
+
+    def toString(self) -> str:
+        """All of it as a text."""
+        return f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} theta:{self.theta:g}desc:{self.description}"
 
 
 @dataclass
@@ -51,6 +74,18 @@ class Map2DObject(Structure):
     yaw: float = 0.0
     description: str = ""
 
+    def is_near_to(self, other_loc: Map2DObject | Map2DLocation, linear_tolerance: float) -> bool:
+        """Whether an object, or in the plane a location, is on the same map and so many metres away or nearer."""
+        if self.map_id != other_loc.map_id or linear_tolerance < 0:
+            return False
+        height = self.z - other_loc.z if isinstance(other_loc, Map2DObject) else 0.0
+        return math.hypot(self.x - other_loc.x, self.y - other_loc.y, height) <= linear_tolerance
+
+    def toString(self) -> str:
+        """All of it as a text."""
+        place = f"map_id:{self.map_id} x:{self.x:g} y:{self.y:g} z:{self.z:g}"
+        return f"{place} roll:{self.roll:g} pitch:{self.pitch:g} yaw:{self.yaw:g} desc:{self.description}"
+
 
 @dataclass
 class Map2DArea(Structure):
@@ -66,6 +101,83 @@ class Map2DArea(Structure):
     points: list[Vec2D] = field(default_factory=list)
     description: str = ""
 
+    def isValid(self) -> bool:
+        """Whether it has three corners or more and is on a map."""
+        return len(self.points) >= 3 and self.map_id != ""
+
+    def checkLocationInsideArea(self, loc: Map2DLocation) -> bool:
+        """Whether a location is inside."""
+        return loc.map_id == self.map_id and self.contains(loc.x, loc.y)
+
+    def checkObjectInsideArea(self, obj: Map2DObject) -> bool:
+        """Whether an object is inside."""
+        return obj.map_id == self.map_id and self.contains(obj.x, obj.y)
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a place on its map, metres, is inside."""
+        return len(self.points) >= 3 and sum(border <= x for border in self._borders(y)) % 2 == 1
+
+    def findAreaBounds(self) -> tuple[Map2DLocation, Map2DLocation] | None:
+        """The corners of least and of greatest x and y of what it covers; None where it is none.
+
+        YARP finds 0 for the greatest where all are below.
+        """
+        if not self.isValid():
+            return None
+        xs, ys = [point.x for point in self.points], [point.y for point in self.points]
+        return Map2DLocation(self.map_id, min(xs), min(ys)), Map2DLocation(self.map_id, max(xs), max(ys))
+
+    def getCentroid(self) -> Map2DLocation | None:
+        """The middle of its bounds; None where it is none. YARP gives half its size instead."""
+        bounds = self.findAreaBounds()
+        if bounds is None:
+            return None
+        low, high = bounds
+        return Map2DLocation(self.map_id, (low.x + high.x) / 2, (low.y + high.y) / 2)
+
+    def getRandomLocation(self) -> Map2DLocation | None:
+        """A location inside, of theta 0; None where it has no inside."""
+        bounds = self.findAreaBounds()
+        if bounds is None:
+            return None
+        low, high = bounds
+        for _ in range(100):
+            y = random.uniform(low.y, high.y)  # noqa: S311
+            borders = sorted(self._borders(y))
+            pieces = list(zip(borders[::2], borders[1::2], strict=True))
+            if any(end > start for start, end in pieces):
+                start, end = random.choices(pieces, [end - start for start, end in pieces])[0]  # noqa: S311
+                return Map2DLocation(self.map_id, random.uniform(start, end), y)  # noqa: S311
+        return None
+
+    def clear(self) -> None:
+        """Be no area."""
+        self.map_id, self.description = "", ""
+        self.points.clear()
+
+    def toString(self) -> str:
+        """All of it as a text."""
+        points = "".join(f" point {i}({point.x:g},{point.y:g})" for i, point in enumerate(self.points))
+        return f"map_id:{self.map_id} {points}desc:{self.description}"
+
+    def __getitem__(self, index: int) -> Vec2D:
+        return self.points[index]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __bool__(self) -> bool:
+        return True  # an empty one too is an area
+
+    def _borders(self, y: float) -> list[float]:
+        """Where a line along the x axis crosses the polygon."""
+        corners = zip(self.points, [*self.points[1:], *self.points[:1]], strict=True)
+        return [
+            (there.x - here.x) * (y - here.y) / (there.y - here.y) + here.x
+            for here, there in corners
+            if (here.y > y) != (there.y > y)
+        ]
+
 
 @dataclass
 class Map2DPath(Structure):
@@ -78,3 +190,48 @@ class Map2DPath(Structure):
 
     waypoints: list[Map2DLocation] = field(default_factory=list)
     description: str = ""
+
+    def size(self) -> int:
+        """How many poses it has."""
+        return len(self.waypoints)
+
+    def getLength(self) -> float:
+        """Metres along it; the way from one map to another counts for nothing.
+
+        YARP adds up how far each pose is from its map's origin.
+        """
+        steps = zip(self.waypoints, self.waypoints[1:], strict=False)
+        return sum(math.hypot(b.x - a.x, b.y - a.y) for a, b in steps if a.map_id == b.map_id)
+
+    def isOnSingleMap(self) -> bool:
+        """Whether all its poses are on one map."""
+        return len({waypoint.map_id for waypoint in self.waypoints}) <= 1
+
+    def push_back(self, loc: Map2DLocation) -> None:
+        """Go on to another pose."""
+        self.waypoints.append(loc)
+
+    def clear(self) -> None:
+        """Be no way."""
+        self.waypoints.clear()
+        self.description = ""
+
+    def toString(self) -> str:
+        """All of it as a text."""
+        places = "".join(
+            f" waypoint {i}({place.map_id} {place.x:.2g},{place.y:.2g},{place.theta:.2g})"
+            for i, place in enumerate(self.waypoints)
+        )
+        return f"{places} desc: {self.description}"
+
+    def __getitem__(self, index: int) -> Map2DLocation:
+        return self.waypoints[index]
+
+    def __iter__(self) -> Iterator[Map2DLocation]:
+        return iter(self.waypoints)
+
+    def __len__(self) -> int:
+        return len(self.waypoints)
+
+    def __bool__(self) -> bool:
+        return True  # an empty one too is a way

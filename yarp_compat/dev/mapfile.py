@@ -7,6 +7,8 @@ import re
 import stat
 from pathlib import Path
 
+import numpy as np
+
 LONGEST_TEXT = 1 << 22
 """A text file of more bytes is refused."""
 
@@ -88,3 +90,8 @@ def write(path: Path, content: bytes | str) -> None:
             fresh.unlink(missing_ok=True)
     except OSError as error:
         raise MapFileError(f"{path}: {error.strerror}") from None
+
+
+def decimal(number: float) -> str:
+    """A number without an exponent, which some readers of YAML take for a word; it comes back exactly."""
+    return np.format_float_positional(number, trim="0")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yarp_compat.dev.mapfile import MapFileError, file_name, found, read_text, write
+from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, read_text, write
 from yarp_compat.dev.mapflag import UNKNOWN, flags_of, looked_up
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapimage import grey_image, read_image
@@ -169,11 +169,6 @@ def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np
     if header.mode == "scale" and pixels.shape[2] == 4:
         occupancy[pixels[..., 3] < 255] = UNKNOWN
     return occupancy
-
-
-def decimal(number: float) -> str:
-    """A number without an exponent, which some readers of YAML take for a word; it comes back exactly."""
-    return np.format_float_positional(number, trim="0")
 
 
 def _meant(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint8]:

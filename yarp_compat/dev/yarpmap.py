@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yarp_compat.dev.mapcolours import GREYS, OCCUPANCIES, flags_of_picture, picture_of_flags
-from yarp_compat.dev.mapfile import MapFileError, file_name, found, read_text, write
+from yarp_compat.dev.mapfile import MapFileError, decimal, file_name, found, read_text, write
 from yarp_compat.dev.mapflag import flags_of, looked_up, occupancy_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapimage import read_image, write_colours, write_greys
-from yarp_compat.dev.rosmap import RosMapHeader, decimal, occupancy_of_image, read_header
+from yarp_compat.dev.rosmap import RosMapHeader, occupancy_of_image, read_header
 
 _LINE = re.compile(r'\s*(\w+)(?:\s*=\s*|\s+)("(?:[^"\\]|\\.)*"|.*?)\s*(?:\s(?:#|//).*)?$')
 
@@ -91,7 +91,7 @@ def save_yarp(grid: MapGrid2D, path: str | Path) -> None:
 def _settings(text: str) -> dict[str, str]:
     """The first value of each key: all of its line, as YARP writes names of several words without quotes."""
     said: dict[str, str] = {}
-    for line in text.splitlines():
+    for line in text.split("\n"):
         match = _LINE.match(line)
         if match and match[2]:
             key, value = match.groups()

@@ -1,0 +1,117 @@
+"""Places for other programs: GeoJSON (RFC 7946), and waypoints for Nav2.
+
+GeoJSON is meant for longitudes and latitudes; here its numbers are metres in a map's frame, which every feature names,
+as Nav2's route graphs have it too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapfile import decimal
+from yarp_compat.dev.maplink import MapLink
+from yarp_compat.dev.places import Places
+
+
+def to_geojson(
+    places: Places,
+    behaviours: Mapping[str, AreaBehaviour] | None = None,
+    links: Mapping[str, MapLink] | None = None,
+    map_name: str = "",
+) -> str:
+    """The GeoJSON of places: points, polygons and lines.
+
+    Args:
+        places: locations, objects, areas and paths. Their numbers are metres and degrees.
+        behaviours: of areas, which become properties of them.
+        links: which become lines between two locations.
+        map_name: leave out what is on other maps; by default everything is there.
+    """
+    features = [
+        feature
+        for feature in (*_points(places), *_areas(places, behaviours or {}), *_lines(places, links or {}))
+        if map_name in ("", feature["properties"]["map"])
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": features}, indent=1, ensure_ascii=False) + "\n"
+
+
+def to_waypoints(locations: Mapping[str, Map2DLocation]) -> str:
+    """The file of waypoints that Nav2's panel in rviz loads and saves, for its "Waypoint mode".
+
+    ``waypoints: {NAME: {pose: [x, y, z], orientation: [w, x, y, z]}}``; it does not say on which map they are.
+
+    Args:
+        locations: in the order in which they are passed, by the waypoints' names.
+    """
+    lines = ["waypoints:" if locations else "waypoints: {}"]
+    for name, place in locations.items():
+        half = math.radians(place.theta) / 2
+        turn = ", ".join(map(decimal, (math.cos(half), 0.0, 0.0, math.sin(half))))
+        lines += [
+            f"  {json.dumps(name, ensure_ascii=False)}:",
+            f"    pose: [{decimal(place.x)}, {decimal(place.y)}, 0.0]",
+            f"    orientation: [{turn}]",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _feature(kind: str, name: str, map_name: str, shape: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    said = {key: value for key, value in properties.items() if value is not False and value not in ("", None)}
+    return {
+        "type": "Feature",
+        "id": f"{kind}/{name}",
+        "geometry": {"type": shape, "coordinates": coordinates},
+        "properties": {"kind": kind, "name": name, "map": map_name, **said},
+    }
+
+
+def _points(places: Places) -> Iterable[dict[str, Any]]:
+    for name, place in sorted(places.locations.items()):
+        yield _feature(
+            "location", name, place.map_id, "Point", [place.x, place.y],
+            theta=place.theta, description=place.description,
+        )  # fmt: skip
+    for name, thing in sorted(places.objects.items()):
+        yield _feature(
+            "object", name, thing.map_id, "Point", [thing.x, thing.y, thing.z],
+            roll=thing.roll, pitch=thing.pitch, yaw=thing.yaw, description=thing.description,
+        )  # fmt: skip
+
+
+def _areas(places: Places, behaviours: Mapping[str, AreaBehaviour]) -> Iterable[dict[str, Any]]:
+    for name, area in sorted(places.areas.items()):
+        corners = [[point.x, point.y] for point in area.points]
+        turns = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True))
+        ring = corners if turns >= 0 else corners[::-1]  # RFC 7946: an outer ring goes counterclockwise
+        said = behaviours.get(name, AreaBehaviour())
+        yield _feature(
+            "area", name, area.map_id, "Polygon", [[*ring, *ring[:1]]] if ring else [],
+            description=area.description, max_speed=said.max_speed, on_obstacle=said.on_obstacle,
+            keep_out=said.keep_out,
+        )  # fmt: skip
+
+
+def _lines(places: Places, links: Mapping[str, MapLink]) -> Iterable[dict[str, Any]]:
+    for name, path in sorted(places.paths.items()):
+        maps = list(dict.fromkeys(waypoint.map_id for waypoint in path))
+        poses = [[waypoint.x, waypoint.y] for waypoint in path]
+        yield _feature(
+            "path", name, maps[0] if len(maps) == 1 else "", "LineString", poses,
+            theta=[waypoint.theta for waypoint in path], maps=maps, description=path.description,
+        )  # fmt: skip
+    for name, link in sorted(links.items()):
+        ends = [places.locations.get(end) for end in (link.first, link.second)]
+        yield {
+            "type": "Feature",
+            "id": f"link/{name}",
+            "geometry": None,  # its ends are on two maps
+            "properties": {
+                "kind": "link", "name": name, "map": "", "first": link.first, "second": link.second,
+                "maps": [end.map_id for end in ends if end is not None], "cost": link.cost,
+            },
+        }  # fmt: skip

@@ -1,0 +1,205 @@
+"""Files of locations, objects, areas and paths, as YARP's map storage keeps them (`map2DStorage/Map2DStorage.cpp`).
+
+``Version:``, its number, and a section each, whose lines are Bottles. Version 1 has locations and areas, 2 paths too, 3
+descriptions, 4 objects; 4 is written. Numbers come back exactly, of which YARP keeps six digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.mapfile import MapFileError, decimal, found, read_text, write
+from yarp_compat.sig.vec2d import Vec2D
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.text import from_text, value_text
+
+_SECTIONS = ("Locations:", "Objects:", "Areas:", "Paths:")
+
+Line = list[Any]
+
+
+@dataclass
+class Places:
+    """What such a file holds, each by its name.
+
+    Attributes:
+        locations: poses.
+        objects: poses in space.
+        areas: polygons.
+        paths: ways.
+    """
+
+    locations: dict[str, Map2DLocation] = field(default_factory=dict)
+    objects: dict[str, Map2DObject] = field(default_factory=dict)
+    areas: dict[str, Map2DArea] = field(default_factory=dict)
+    paths: dict[str, Map2DPath] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: str | Path, jail: Path | None = None) -> Places:
+        """Read a file.
+
+        Args:
+            path: the file.
+            jail: a folder that it must be in.
+
+        Raises:
+            MapFileError: it is not there, or a line means nothing.
+        """
+        file = found(path, Path(), jail)
+        return cls.from_text(read_text(file), str(file))
+
+    def save(self, path: str | Path) -> None:
+        """Write a file.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        write(Path(path), self.to_text())
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "the file") -> Places:
+        """What a file's text says.
+
+        Args:
+            text: of any version.
+            source: what errors call it.
+
+        Raises:
+            MapFileError: a line means nothing, or says a name for the second time.
+        """
+        lines = iter(enumerate(text.split("\n"), 1))
+        version = _version(lines, source)
+        places = cls()
+        take: _Take = _nowhere
+        for number, line in lines:
+            if line.strip() in _SECTIONS:
+                take = _TAKE[line.strip()]
+            elif line.strip():
+                try:
+                    take(places, from_text(line), version >= 3)
+                except (ValueError, WireError, IndexError, TypeError) as error:
+                    raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
+        return places
+
+    def to_text(self) -> str:
+        """The text of a file, of version 4, sorted by names."""
+        lines = ["Version:", "4", "Locations:"]
+        for name, place in sorted(self.locations.items()):
+            lines.append(_line(name, place.map_id, place.x, place.y, place.theta, place.description))
+        lines.append("Objects:")
+        for name, thing in sorted(self.objects.items()):
+            pose = thing.x, thing.y, thing.z, thing.roll, thing.pitch, thing.yaw
+            lines.append(_line(name, thing.map_id, *pose, thing.description))
+        lines.append("Areas:")
+        for name, area in sorted(self.areas.items()):
+            corners = [number for point in area.points for number in (point.x, point.y)]
+            lines.append(_line(name, area.map_id, len(area.points), *corners, area.description))
+        lines.append("Paths:")
+        for name, path in sorted(self.paths.items()):
+            poses = [f"({_line(pose.map_id, pose.x, pose.y, pose.theta)})" for pose in path.waypoints]
+            lines.append(" ".join([_word(name), *poses, _quoted(path.description)]))
+        return "\n".join(lines) + "\n"
+
+
+_Take = Callable[[Places, Line, bool], None]
+
+
+def _version(lines: Iterator[tuple[int, str]], source: str) -> int:
+    head = [line.strip() for _, line in (next(lines, (0, "")), next(lines, (0, "")))]
+    if head[0] != "Version:" or head[1] not in ("1", "2", "3", "4"):
+        raise MapFileError(f"{source} does not begin with a line 'Version:' and one that says 1, 2, 3 or 4")
+    return int(head[1])
+
+
+def _nowhere(_places: Places, _line: Line, _described: bool) -> None:
+    raise ValueError("it stands before any section, the first of which is Locations:")
+
+
+def _location(places: Places, line: Line, described: bool) -> None:
+    _sized(line, 5 + described)
+    description = _text(line[5]) if described else ""
+    _put(places.locations, line, _pose(line[1:5], description))
+
+
+def _object(places: Places, line: Line, _described: bool) -> None:
+    _sized(line, 9)
+    x, y, z, roll, pitch, yaw = map(_number, line[2:8])
+    _put(places.objects, line, Map2DObject(_text(line[1]), x, y, z, roll, pitch, yaw, _text(line[8])))
+
+
+def _area(places: Places, line: Line, described: bool) -> None:
+    count = line[2]
+    if type(count) is not int or count < 0:
+        raise ValueError(f"{count!r:.40} is no number of corners")
+    _sized(line, 3 + 2 * count + described)
+    corners = [_number(value) for value in line[3 : 3 + 2 * count]]
+    points = [Vec2D(x, y) for x, y in zip(corners[::2], corners[1::2], strict=True)]
+    _put(places.areas, line, Map2DArea(_text(line[1]), points, _text(line[-1]) if described else ""))
+
+
+def _path(places: Places, line: Line, described: bool) -> None:
+    poses = [value for value in line[1:] if isinstance(value, list)]
+    _sized(line, 1 + len(poses) + (described and not (poses and line[-1] is poses[-1])))
+    waypoints = [_pose(pose) for pose in poses]
+    _put(places.paths, line, Map2DPath(waypoints, "" if line[-1] in poses or len(line) == 1 else _text(line[-1])))
+
+
+_TAKE: Mapping[str, _Take] = {
+    "Locations:": _location,
+    "Objects:": _object,
+    "Areas:": _area,
+    "Paths:": _path,
+}
+
+
+def _pose(line: Line, description: str = "") -> Map2DLocation:
+    _sized(line, 4)
+    x, y, theta = map(_number, line[1:])
+    return Map2DLocation(_text(line[0]), x, y, theta, description)
+
+
+def _put(kind: dict[str, Any], line: Line, value: Any) -> None:
+    name = _text(line[0])
+    if name in kind:
+        raise ValueError(f"{name!r} is there already")
+    kind[name] = value
+
+
+def _sized(line: Line, count: int) -> None:
+    if len(line) != count:
+        raise ValueError(f"{count} values are expected, not {len(line)}")
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{value!r:.40} is no number")  # noqa: TRY004
+    return float(value)
+
+
+def _text(value: Any) -> str:
+    """A text, also one that looks like a number."""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, list | bytes):
+        raise ValueError(f"{value!r:.40} is no text")  # noqa: TRY004
+    return value_text(value)
+
+
+def _line(*values: str | float) -> str:
+    """Values as they stand in a line, the last one in quotes if it is a text: the description."""
+    *first, last = values
+    words = [_word(value) for value in first]
+    return " ".join([*words, _quoted(last) if isinstance(last, str) else _word(last)])
+
+
+def _word(value: str | float) -> str:
+    return decimal(value) if isinstance(value, float) else value_text(value)
+
+
+def _quoted(text: str) -> str:
+    word = value_text(text)
+    return word if word.startswith('"') else f'"{word}"'
