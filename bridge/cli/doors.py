@@ -1,7 +1,7 @@
-"""Commands of other machines that a door refuses (`hub.open.trusted`).
+"""Commands and calls of other machines that a door refuses (`hub.open.trusted`).
 
 zenoh drops them at the door without a word, so it is told from who is where: which machines a router does not trust,
-which sessions are theirs, and what those publish.
+which sessions are theirs, and what those publish and call.
 """
 
 from __future__ import annotations
@@ -20,18 +20,24 @@ from bridge.doctor import hubtypes
 from bridge.hub.errors import WireError
 from bridge.hub.graph import HubEndpoint
 from bridge.hub.keyexpr import topic_key
-from bridge.hub.trust import harmless_keys
+from bridge.hub.liveliness import EndpointKind
+from bridge.hub.trust import QUESTIONS, harmless_keys
+
+_QUESTIONS = [zenoh.KeyExpr(key) for key in QUESTIONS]
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """One topic's commands of one machine, refused by another.
+    """One topic's commands, or one service's calls, of one machine, refused by another.
 
     Attributes:
         daemon: whose door refuses them.
         machine: whose they are, by the name in its certificate; "" where it showed none.
-        nodes: its publishers of the topic, for people.
-        messages: how many its bridge has said so far; None where its publishers are no bridge's, and nobody counts.
+        topic: the topic or service.
+        nodes: its publishers of the topic or clients of the service, for people.
+        messages: how many its bridge has said or calls it has made so far; None where they are no bridge's, and nobody
+            counts.
+        is_service: calls are refused.
     """
 
     daemon: str
@@ -40,13 +46,15 @@ class Refusal:
     type: str
     nodes: str
     messages: int | None
+    is_service: bool
 
     @property
     def text(self) -> str:
         """For people."""
         who = self.machine or "a machine without a certificate"
-        count = "" if self.messages is None else f"; {plural(self.messages, 'message')} so far"
-        return f"{self.daemon} refuses the commands of {who} on {self.topic} ({self.nodes}){count}"
+        one, what = ("call", "calls of {} to") if self.is_service else ("message", "commands of {} on")
+        count = "" if self.messages is None else f"; {plural(self.messages, one)} so far"
+        return f"{self.daemon} refuses the {what.format(who)} {self.topic} ({self.nodes}){count}"
 
     @property
     def cure(self) -> str:
@@ -58,7 +66,7 @@ class Refusal:
 def refusals(client: Client, documents: Iterable[Document]) -> list[Refusal]:
     """What the doors refuse now, by the workers' status documents and the hub's graph, which has settled."""
     documents = list(documents)
-    publishers = client.hub.graph.publishers()
+    graph = client.hub.graph
     found: list[Refusal] = []
     for router in documents:
         distrusted = [machine for machine in dicts(router.get("machines")) if not machine.get("trusted")]
@@ -67,31 +75,37 @@ def refusals(client: Client, documents: Iterable[Document]) -> list[Refusal]:
         harmless = _harmless(router.get("commands"))
         for machine in distrusted:
             theirs = _sessions(str(machine.get("zid")), documents)
-            groups = _by_topic(e for e in publishers if e.zid in theirs)
-            refused = [group for group in groups if not _is_among(harmless, group[0], client.hub.domain)]
-            found += [_refusal(router, machine, group, documents) for group in refused]
+            served = {server.topic for server in graph.servers() if server.zid not in theirs}
+            for endpoints, allowed in ((graph.publishers(), harmless), (graph.clients(), _QUESTIONS)):
+                groups = _by_topic(e for e in endpoints if e.zid in theirs)
+                refused = [group for group in groups if not _is_among(allowed, group[0], client.hub.domain)]
+                told = (_refusal(router, machine, group, documents) for group in refused)
+                found += [one for one in told if not one.is_service or (one.topic in served and one.messages != 0)]
     return found
 
 
 def _refusal(
-    router: Document, machine: Document, publishers: Sequence[HubEndpoint], documents: Iterable[Document]
+    router: Document, machine: Document, endpoints: Sequence[HubEndpoint], documents: Iterable[Document]
 ) -> Refusal:
-    first = publishers[0]
-    zids = {publisher.zid for publisher in publishers}
+    first = endpoints[0]
+    is_service = first.kind is EndpointKind.CLIENT
+    direction, figure = ("out", "calls") if is_service else ("in", "messages")
+    zids = {endpoint.zid for endpoint in endpoints}
     counted = [
-        int(route.get("messages") or 0)
+        int(route.get(figure) or 0)
         for document in documents
         if document.get("zid") in zids
         for route in route_list(document)
-        if (route.get("direction"), route.get("hub_topic")) == ("in", first.topic)
+        if (route.get("direction"), route.get("hub_topic")) == (direction, first.topic)
     ]
     return Refusal(
         str(router.get("daemon")),
         str(machine.get("name") or ""),
         first.topic,
         first.type_name,
-        hubtypes.nodes(publishers),
+        hubtypes.nodes(endpoints),
         sum(counted) if counted else None,
+        is_service,
     )
 
 
@@ -101,10 +115,10 @@ def _sessions(zid: str, documents: Iterable[Document]) -> set[str]:
     return {zid} | {str(session) for members in behind for session in members}
 
 
-def _by_topic(publishers: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
+def _by_topic(endpoints: Iterable[HubEndpoint]) -> Iterable[list[HubEndpoint]]:
     groups: dict[tuple[str, str], list[HubEndpoint]] = {}
-    for publisher in publishers:
-        groups.setdefault((publisher.topic, publisher.type_name), []).append(publisher)
+    for endpoint in endpoints:
+        groups.setdefault((endpoint.topic, endpoint.type_name), []).append(endpoint)
     return [groups[key] for key in sorted(groups)]
 
 

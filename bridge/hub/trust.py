@@ -34,7 +34,7 @@ _EVERYTHING = ("put", "delete", "query", "reply", "declare_queryable", *_LISTENI
 _GOAL = "Goal_"
 """Types of goals and cancels end so: MoveBaseActionGoal_, NavigateToPose_SendGoal_, CancelGoal_."""
 
-_QUESTIONS = (
+QUESTIONS = (
     *(f"*/**/$*::srv::dds_::{verb}$*/RIHS01_$*" for verb in ("Get", "List", "Describe")),
     "*/**/$*::action::dds_::$*_GetResult_/RIHS01_$*",
 )
@@ -73,7 +73,7 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
         # who is asked for a latched command could answer on any key
         _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
         _rule("serve", "ingress", ("declare_queryable",), ("**", control)),
-        _rule("ask", "ingress", ("query",), (*_QUESTIONS, _CACHES, control)),
+        _rule("ask", "ingress", ("query",), (*QUESTIONS, _CACHES, control)),
     ]
     everything = [_rule(f"everything {flow}", flow, _EVERYTHING, _SPACES) for flow in ("ingress", "egress")]
     return {

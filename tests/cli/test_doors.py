@@ -12,6 +12,7 @@ from tests.cli.conftest import Midspan
 from tests.cli.workers import FakeWorker, route, status
 from tests.support.hub import HubNetwork
 
+SET_BOOL, GET_PLAN = "std_srvs/srv/SetBool", "nav_msgs/srv/GetPlan"
 TWIST, LASER = "geometry_msgs/msg/Twist", "sensor_msgs/msg/LaserScan"
 HASH = "RIHS01_" + "1" * 64
 COMMANDS = {name: [part] for name, part in ALWAYS.items()}
@@ -55,6 +56,25 @@ def test_refused_commands_are_told_with_their_number_and_the_cure(
     assert document["daemon"] == "robot1"
     (refusal,) = document["refused_commands"]
     assert (refusal["topic"], refusal["machine"], refusal["messages"]) == ("/cmd_vel", "operator1", 153)
+
+
+def test_refused_calls_are_told_where_there_is_something_to_refuse(
+    midspan: Midspan, network: HubNetwork, closing: list[Any]
+) -> None:
+    fleet = Fleet(network, closing)
+    robot = FakeWorker(network, "ros1")
+    closing.append(robot)
+    calls = {"/lamp": 2, "/plan": 3, "/quiet": 0, "/gone": 4}
+    fleet.document["routes"] += [route(name, "out", kind="service", calls=count) for name, count in calls.items()]
+    types = {name: GET_PLAN if name == "/plan" else SET_BOOL for name in calls}
+    for name, type_name in types.items():
+        fleet.worker.kept.append(fleet.worker.hub.client(name, type_name, HASH))
+        if name != "/gone":
+            robot.kept.append(robot.hub.server(name, type_name, HASH, lambda _request, _done: lambda: None))
+    words = " ".join(midspan("status").out.split())
+    assert "robot1 refuses the calls of operator1 to /lamp (/midspan_ros1); 2 calls so far" in words
+    assert words.count("refuses the calls") == 1  # a question is answered, and what nobody calls is not told
+    assert "2 calls so far. cure: where that is not meant, name" in " ".join(midspan("explain", "/lamp").out.split())
 
 
 def test_commands_of_a_trusted_machine_are_not(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
