@@ -1,0 +1,114 @@
+"""``midspan halt`` on a real hub: listeners hear zero, goals are cancelled, a base is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.clock import SYSTEM
+from bridge.hub.qos import Qos
+from bridge.hub.session import Hub
+from bridge.messages.json import from_json, to_json
+from bridge.messages.registry import Registry
+from bridge.modules.action_server import Goal
+from bridge.modules.goal import Status
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from tests.cli.conftest import Midspan
+from tests.cli.workers import FakeWorker
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+LOOKUP = "tf2_msgs/action/LookupTransform"
+TWIST = "geometry_msgs/msg/Twist"
+
+
+class Robot:
+    """A node that drives by ``/cmd_vel`` and pursues goals, and a client with two of them."""
+
+    def __init__(self, network: HubNetwork, registry: Registry) -> None:
+        self.loop = Loop("robot")
+        self.node, far = (
+            Node(Hub.open(network.settings(name)), registry, self.loop, SYSTEM) for name in ("robot", "client")
+        )
+        self._nodes = (self.node, far)
+        self.heard: list[dict[str, Any]] = []
+        self.obeys = True
+        self.loop.start()
+        self.node.subscription("/cmd_vel", TWIST, self.heard.append)
+        server = self.node.action_server("/lookup", LOOKUP, lambda _goal: True, self.cancel)
+        client = far.action_client("/lookup", LOOKUP)
+        until(lambda: client.ready, "the action is there")
+        self.sent = [client.send({}, lambda *_: None) for _ in range(2)]
+        until(lambda: len(server.active) == 2, "both goals are pursued")
+
+    def cancel(self, goal: Goal) -> bool:
+        if self.obeys:
+            self.loop.post(goal.canceled)
+        return self.obeys
+
+    def close(self) -> None:
+        for node in self._nodes:
+            node.close()
+        self.loop.close()
+        for node in self._nodes:
+            node.hub.close()
+
+
+@pytest.fixture
+def robot(network: HubNetwork, registry: Registry) -> Iterator[Robot]:
+    made = Robot(network, registry)
+    yield made
+    made.close()
+
+
+def test_everything_stands_still(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+    asked: list[Any] = []
+    closing.append(FakeWorker(network, "base_control", halt=lambda params: asked.append(params) or {"halted": True}))
+    done = midspan("halt", "--seconds", "1")
+    assert done.code == 0, done
+    assert done.out.splitlines() == [
+        "/cmd_vel: zero velocity, 1 listener on the hub",
+        "base_control of robot1: stands still",
+        "/lookup: 2 goals cancelled",
+    ]
+    assert asked == [{}]
+    until(lambda: [goal.status for goal in robot.sent] == [Status.CANCELED] * 2, "both goals were cancelled")
+    assert len(robot.heard) > 3
+    assert all(message["linear"]["x"] == message["angular"]["z"] == 0.0 for message in robot.heard)
+
+
+def test_what_does_not_obey_is_told(midspan: Midspan, network: HubNetwork, robot: Robot, closing: list[Any]) -> None:
+    def fails(_params: dict[str, Any]) -> None:
+        raise RuntimeError
+
+    robot.obeys = False
+    closing.append(FakeWorker(network, "base_control", halt=fails))
+    done = midspan("halt", "--seconds", "0.5", "--json")
+    assert done.code == 1
+    assert done.json() == {
+        "topics": {"/cmd_vel": 1},
+        "goals": {"/lookup": 0},
+        "bases": {"base_control of robot1": False},
+        "errors": {},
+    }
+
+
+def test_nothing_to_halt(midspan: Midspan) -> None:
+    done = midspan("halt", "--seconds", "0.1")
+    assert (done.code, "nothing to halt" in done.err) == (1, True)
+
+
+def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+    hub = Hub.open(network.settings("planner"))
+    type_id = registry.ros2(TWIST).type_id
+    publisher = hub.publisher("/far/cmd_vel", TWIST, type_id, Qos())
+    heard: list[Any] = []
+    subscription = hub.subscription("/far/cmd_vel", TWIST, type_id, Qos(), heard.append)
+    publisher.put(from_json(registry, TWIST, {"linear": {"x": 1.0}}))
+    assert midspan("halt", "--seconds", "0.3").code == 0
+    until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in heard), "zero is heard")
+    subscription.close()
+    hub.close()
