@@ -10,6 +10,7 @@ from yarp_compat.dev.service import Service
 from yarp_compat.naming.errors import PortError
 from yarp_compat.naming.naming import Naming
 from yarp_compat.pythonic import Client
+from yarp_compat.wire.generation import Generation
 from yarp_compat.wire.message import Buffer
 
 S = TypeVar("S", bound=Service)
@@ -41,6 +42,11 @@ class ServiceClient(Client, Generic[S]):
         super().__init__(server, name, naming=naming)
         self._channel = _Lasting(self, timeout)
         self.remote = interface(self._channel)
+
+    @property
+    def generation(self) -> Generation:
+        """The server's release, as far as it is known."""
+        return self._channel.generation
 
     def open(self) -> Self:
         """Open the port, connect it, and introduce it: so YARP 4's servers want it.

@@ -1,0 +1,140 @@
+"""TransformServer in its host: on a hub, with a name server and clients over real ports."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.config.model import Config
+from tests.modules.test_worker import Place
+from tests.support.wait import until
+from yarp_compat.dev.frametransform_client import TransformClient
+from yarp_compat.dev.frametree import transform_of
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+
+TF = "tf2_msgs/TFMessage"
+LASER = np.eye(4)
+LASER[0, 3] = 0.5
+
+
+class Served(Place):
+    """The module, and whoever talks to it."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.server = NameServer(port=self.port, gc_seconds=0)
+        self.server.__enter__()
+        self.timed, self.static = self.far.advertise("/tf", TF), self.far.advertise("/tf_static", TF, latched=True)
+        self.heard, self.heard_static = (
+            self.far.subscribe("/tf", TF),
+            self.far.subscribe("/tf_static", TF, latched=True),
+        )
+        self.worker.start(self.served())
+
+    def served(self, **options: Any) -> Config:
+        return self.config(modules={"transform_server": {"enabled": True, **options}})
+
+    def client(self, **options: Any) -> TransformClient:
+        return TransformClient(naming=NameClient(Address("127.0.0.1", self.port), namespace="/root"), **options)
+
+    def to_open(self, **options: Any) -> TransformClient:
+        """A client, once the server's ports are there."""
+        for kind in (
+            "frameTransformSet_nws_yarp/thrift",
+            "frameTransformGet_nws_yarp/thrift",
+            "frameTransformGet_nws_yarp/tf:o",
+        ):
+            name = f"{options.get('server', '')}/frameTransformServer/{kind}"
+            until(lambda n=name: self.names.query(n), f"{name} is there", 20)
+        return self.client(**options)
+
+    def say(self, parent: str, child: str, *, static: bool = False) -> None:
+        """Publish a frame on the hub."""
+        sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
+        header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": parent}
+        pose = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+        transform = {"header": header, "child_frame_id": child, "transform": pose}
+        self.far.publish(self.static if static else self.timed, {"transforms": [transform]})
+
+    def told(self, heard: int) -> list[str]:
+        """The children that a subscription of the hub has heard of."""
+        return [t["child_frame_id"] for m in self.far.wait(heard, 0, 0.05) for t in m["transforms"]]
+
+    def close(self) -> None:
+        super().close()
+        self.server.__exit__(None, None, None)
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Served]:
+    made = Served(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_client_and_the_hub_have_each_others_frames(place: Served) -> None:
+    place.say("base", "gripper", static=True)
+    with place.to_open() as frames, place.to_open(streaming=False) as asking:
+
+        def once() -> bool:
+            place.say("map", "base")
+            frames.set("arm", "base", LASER)
+            return "arm" in place.told(place.heard) and "gripper" in frames and "arm" in frames
+
+        until(once, "both sides have heard of all", 20)
+        frames.set("laser", "base", LASER, static=True)
+        until(lambda: "laser" in place.told(place.heard_static), "the static frame is published", 20)
+        for client in (frames, asking):
+            until(lambda c=client: (place.say("map", "base"), "laser" in c)[1], "the client has the frame", 20)
+            place.say("map", "base")
+            np.testing.assert_allclose(client.pose("laser", "map", timeout=10)[:3, 3], [1.5, 0.0, 0.0])
+            np.testing.assert_allclose(client.points([[0.0, 2.0, 0.0]], "laser", "map"), [[1.5, 2.0, 0.0]])
+        assert "gripper" not in place.told(place.heard_static), "what the hub says is not said again"
+        frames.delete("laser", "base")
+        until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted", 20)
+        assert frames.waitForTransform("gripper", "base", 5.0)
+        assert set(place.told(place.heard)) == {"arm"}
+    status = place.status("transform_server")
+    assert status is not None
+    assert status["refused"] == {}
+
+
+def test_prefix_and_lifetime_change_while_it_runs(place: Served) -> None:
+    with place.to_open() as frames:
+        before = place.status("transform_server")
+        assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
+        assert frames.send([transform_of("base", "map", LASER, time.time() - 60.0)])
+        until(lambda: "base" in frames, "it is shown though it is old", 20)
+        after = place.status("transform_server")
+        assert before is not None
+        assert after is not None
+        assert after["zid"] == before["zid"], "it took up its section while it ran"
+    assert place.worker.reload(place.served(prefix="/robot"))
+    with place.to_open(server="/robot", name="/gui") as frames:
+        assert place.names.query("/gui/frameTransformClient/frameTransformGet_nwc_yarp/tf:i")
+        assert not frames.waitForTransform("base", "map", 0.1), "it began anew"
+
+
+def test_a_client_finds_a_server_that_returns(place: Served) -> None:
+    with place.to_open() as frames:
+        frames.set("laser", "base", LASER, static=True)
+        assert frames.waitForTransform("laser", "base", 20.0)
+        place.worker.stop()
+        assert not frames.setTransform("arm", "base", LASER)
+        place.worker.start(place.served())
+
+        def again() -> bool:
+            return bool(frames.setTransformStatic("camera", "base", LASER)) or "camera" in frames
+
+        until(again, "the client sets frames again", 30)
+        assert frames.waitForTransform("camera", "base", 20.0)
+        assert "laser" not in frames, "a server begins without frames"

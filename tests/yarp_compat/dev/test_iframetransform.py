@@ -1,0 +1,295 @@
+"""IFrameTransform: every method, over the bytes of every generation; the tree and its numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tests.yarp_compat.dev.test_transcripts import exchanges, taken
+from yarp_compat.dev.frametransform import FrameTransform
+from yarp_compat.dev.frametransformstorage import (
+    FrameTransformStorageGetRPC,
+    FrameTransformStorageSetRPC,
+    Transforms,
+)
+from yarp_compat.dev.frametree import FrameTree, TransformError, angles_of, inverse, of_angles, transform_of
+from yarp_compat.dev.iframetransform import IFrameTransform
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.server import Server
+from yarp_compat.os.stdvector import BVector, SVector
+from yarp_compat.sig.matrix import Matrix
+from yarp_compat.sig.quaternion import Quaternion
+from yarp_compat.sig.vector import Vector
+from yarp_compat.wire.errors import WireError
+from yarp_compat.wire.generation import Generation, Generations
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.profile import Profile
+
+
+class Setting(FrameTransformStorageSetRPC):
+    def __init__(self, kept: list[FrameTransform]) -> None:
+        super().__init__()
+        self.kept = kept
+
+    def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
+        self.kept.extend(transforms)
+        return OK
+
+    def setTransformRPC(self, transform: FrameTransform) -> ReturnValue:
+        return self.setTransformsRPC([transform])
+
+    def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
+        found = [t for t in self.kept if {t.src_frame_id, t.dst_frame_id} == {src, dst}]
+        if not found:
+            raise CallFailed
+        self.kept.remove(found[0])
+        return OK
+
+    def clearAllRPC(self) -> ReturnValue:
+        self.kept.clear()
+        return OK
+
+
+class Getting(FrameTransformStorageGetRPC):
+    def __init__(self, kept: list[FrameTransform]) -> None:
+        super().__init__()
+        self.kept = kept
+
+    def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
+        return OK, self.kept
+
+
+class Wire:
+    """A channel straight to a server."""
+
+    def __init__(self, server: Server, generation: Generation) -> None:
+        self.server, self.generation = server, generation
+        self.requests: list[bytes] = []
+
+    def request(self, payload: bytes, parse: Callable[[Buffer], int]) -> Buffer:
+        self.requests.append(payload)
+        reply = self.server.answer(payload, "/client")
+        assert parse(reply) == len(reply)
+        return reply
+
+
+class Local(IFrameTransform):
+    """The interface over wires; ``away`` breaks them."""
+
+    def __init__(self, generation: Generation) -> None:
+        self.kept: list[FrameTransform] = []
+        self.away = False
+        self.wires = [
+            Wire(Server(service(self.kept), Generations(generation)), generation) for service in (Setting, Getting)
+        ]
+        self.setter, self.getter = (
+            FrameTransformStorageSetRPC(self.wires[0]),
+            FrameTransformStorageGetRPC(self.wires[1]),
+        )
+
+    def tree(self) -> FrameTree:
+        if self.away:
+            raise ConnectionResetError
+        return FrameTree(self.getter.getTransformsRPC()[1])
+
+    def send(self, transforms: list[FrameTransform]) -> ReturnValue:
+        return self.setter.setTransformRPC(transforms[0])
+
+    def forget(self, one: str, other: str) -> ReturnValue:
+        if self.away:
+            raise WireError("not a reply")
+        return self.setter.deleteTransformRPC(one, other)
+
+    def forget_all(self) -> ReturnValue:
+        return self.setter.clearAllRPC()
+
+    def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:  # noqa: ARG002
+        return known(self.tree())
+
+
+@pytest.fixture(params=list(Generation), ids=lambda generation: generation.value)
+def frames(request: pytest.FixtureRequest) -> Local:
+    return Local(request.param)
+
+
+def pose(x: float, y: float, z: float, yaw: float = 0.0) -> np.ndarray:
+    made = of_angles(0.0, 0.0, yaw)
+    made[:3, 3] = x, y, z
+    return made
+
+
+BASE, LASER = pose(1.0, 2.0, 3.0, math.pi / 2), pose(0.5, 0.0, 0.0)
+
+
+def told(frames: Local) -> Local:
+    """Map, base on it, laser and camera on the base."""
+    assert frames.setTransform("base", "map", Matrix(BASE))
+    assert frames.setTransformStatic("laser", "base", Matrix(LASER))
+    assert frames.setTransform("camera", "base", Matrix(pose(0.0, 0.0, 1.0)))
+    return frames
+
+
+def test_what_is_set_is_given_in_every_direction(frames: Local) -> None:
+    told(frames)
+    assert [(t.src_frame_id, t.dst_frame_id, t.isStatic) for t in frames.kept] == [
+        ("map", "base", 0),
+        ("base", "laser", 1),
+        ("base", "camera", 0),
+    ]
+    found = Matrix()
+    for target, source, want in (
+        ("laser", "map", BASE @ LASER),
+        ("map", "laser", inverse(BASE @ LASER)),
+        ("laser", "camera", pose(0.5, 0.0, -1.0)),
+        ("anything", "anything", np.eye(4)),
+    ):
+        assert frames.getTransform(target, source, found)
+        np.testing.assert_allclose(found.numpy(), want, atol=1e-12)
+    assert frames.getTransform("laser", "nowhere", found).code is ReturnCode.METHOD_FAILED
+
+
+def test_questions_about_frames_as_in_4_and_as_in_3(frames: Local) -> None:
+    told(frames)
+    truth, text, ids = BVector(), SVector(), SVector()
+    for target, source, want in (("laser", "camera", True), ("laser", "moon", False), ("moon", "moon", True)):
+        assert frames.canTransform(target, source, truth)
+        assert truth == [want]
+        assert frames.canTransform(target, source) is want
+    for name, want in (("map", True), ("laser", True), ("moon", False)):
+        assert frames.frameExists(name, truth)
+        assert truth == [want]
+        assert frames.frameExists(name) is want
+    assert frames.getAllFrameIds(ids)
+    assert ids == ["map", "base", "laser", "camera"]
+    assert frames.getParent("laser", text)
+    assert text == ["base"]
+    assert frames.getParent("laser") == "base"
+    assert frames.getParent("map", text).code is ReturnCode.METHOD_FAILED
+    assert frames.allFramesAsString(text)
+    assert text[0].startswith(
+        "map -> base \n tran: 1.000000 2.000000 3.000000 \n rot quaternion: 0.000000 0.000000 0.70"
+    )
+    assert frames.allFramesAsString() == text[0]
+
+
+def test_points_poses_and_rotations(frames: Local) -> None:
+    told(frames)
+    out = Vector()
+    assert frames.transformPoint("laser", "map", Vector([1.0, 0.0, 0.0]), out)
+    np.testing.assert_allclose(out, [1.0, 3.5, 3.0], atol=1e-12)
+    assert frames.transformPose("laser", "map", Vector([1.0, 0.0, 0.0, 0.1, 0.2, 0.3]), out)
+    np.testing.assert_allclose(out, [1.0, 3.5, 3.0, 0.1, 0.2, 0.3 + math.pi / 2], atol=1e-12)
+    turned = Quaternion()
+    assert frames.transformQuaternion("laser", "map", Quaternion(0.0, 0.0, 0.6, 0.8), turned)
+    np.testing.assert_allclose((turned.z(), turned.w()), (0.989949, 0.141421), atol=1e-6)
+    assert not frames.transformPoint("laser", "map", Vector(2), out)
+    assert not frames.transformPose("laser", "map", Vector(5), out)
+    assert not frames.transformPoint("moon", "map", Vector(3), out)
+    assert not frames.transformQuaternion("laser", "map", Quaternion(0.0, 0.0, 0.0, 0.0), turned)
+
+
+def test_what_is_not_to_be_set(frames: Local) -> None:
+    told(frames)
+    assert frames.setTransform("base", "map", Matrix(LASER)), "the same again is an update"
+    assert not frames.setTransform("laser", "map", Matrix(LASER)), "it follows from others"
+    assert not frames.setTransform("map", "map", Matrix(LASER))
+    assert not frames.setTransformStatic("laser", "base", Matrix(LASER))
+    assert not frames.setTransformStatic("map", "laser", Matrix(LASER))
+    assert not frames.setTransform("new", "map", Matrix(3, 3))
+    assert len(frames.kept) == 4
+
+
+def test_delete_clear_and_wait(frames: Local) -> None:
+    told(frames)
+    assert frames.waitForTransform("laser", "map", 0.1)
+    assert frames.deleteTransform("map", "base")
+    assert frames.deleteTransform("map", "base").code in (ReturnCode.METHOD_FAILED, ReturnCode.GENERIC)
+    assert not frames.waitForTransform("laser", "map", 0.1)
+    assert frames.clear()
+    assert not frames.kept
+
+
+def test_a_server_that_is_away_is_an_outcome(frames: Local) -> None:
+    told(frames).away = True
+    away = ReturnCode.COMMUNICATION
+    assert frames.getTransform("laser", "map", Matrix()).code is away
+    assert frames.setTransform("base", "map", Matrix(BASE)).code is away
+    assert frames.waitForTransform("laser", "map", 0.1).code is away
+    assert frames.deleteTransform("laser", "map").code is away
+    assert frames.canTransform("laser", "map") is None
+    assert frames.frameExists("map", BVector()).code is away
+
+
+def test_the_requests_are_those_of_the_real_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What frameTransformClient of 4.0 sent for ``setTransform`` and ``setTransformStatic``, byte for byte."""
+    seen = 0
+    for request, reply in exchanges("frame-transform.txt"):
+        name, call, arguments = taken(request, Profile.YARP4)
+        if call is None:
+            continue
+        frames, given = Local(Generation.YARP_4), arguments[0]
+        monkeypatch.setattr("yarp_compat.dev.iframetransform.now", lambda given=given: given.timestamp)
+        ask = frames.setTransformStatic if given.isStatic else frames.setTransform
+        matrix = Matrix(FrameTree([given]).pose(given.dst_frame_id, given.src_frame_id))
+        assert name == "setTransformRPC"
+        assert ask(given.dst_frame_id, given.src_frame_id, matrix)
+        assert frames.wires[0].requests == [request]
+        assert frames.wires[0].server.answer(request, "/client") == reply
+        seen += 1
+    assert seen == 2
+
+
+def test_transforms_are_read_at_once_as_field_by_field() -> None:
+    given = FrameTransform("äther", "", 1.5, 1, 1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.9)
+    for profile in Profile:
+        payload = given.to_bytes(profile)
+        assert FrameTransform.from_bytes(payload, profile) == given
+        for size in range(len(payload)):
+            with pytest.raises(WireError):
+                FrameTransform.from_bytes(payload[:size], profile)
+    by_hand = ["map", "base", 1, 0, 1, 2, 3, 0, 0, 0, 1]  # integers, as somebody types them
+    read = FrameTransform()
+    read.from_values(by_hand)
+    assert (read.dst_frame_id, read.tZ, read.qW) == ("base", 3.0, 1.0)
+    for wrong in ("no number", None):
+        bad = FrameTransform("a", "b", 0.0)
+        bad.tX = wrong  # type: ignore[assignment]
+        with pytest.raises(WireError, match="tX"):
+            bad.to_bytes()
+    tree = Transforms(transforms_list=[given, given])
+    assert Transforms.from_bytes(tree.to_bytes(Profile.YARP4), Profile.YARP4) == tree
+
+
+def test_a_loop_and_two_parents_end() -> None:
+    loop = FrameTree([transform_of("a", "b", LASER, 0.0), transform_of("b", "a", LASER, 0.0)])
+    assert loop.connected("a", "b")
+    with pytest.raises(TransformError, match="no frame 'c'; those that there are: b, a"):
+        loop.pose("a", "c")
+    two = FrameTree([transform_of("x", "first", LASER, 0.0), transform_of("x", "second", BASE, 0.0)])
+    assert two.parent("x") == "first"
+    with pytest.raises(TransformError, match="not connected"):
+        two.pose("x", "second")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_matrices_angles_and_quaternions_agree(seed: int) -> None:
+    chance = np.random.default_rng(seed)
+    angles = chance.uniform(-1.0, 1.0, 3) * (math.pi, math.pi / 2, math.pi)
+    matrix = of_angles(*angles)
+    np.testing.assert_allclose(angles_of(matrix), angles, atol=1e-9)
+    turned = Quaternion()
+    turned.fromRotationMatrix(matrix)
+    np.testing.assert_allclose(turned.toRotationMatrix4x4(), matrix, atol=1e-12)
+    np.testing.assert_allclose(inverse(matrix) @ matrix, np.eye(4), atol=1e-12)
+
+
+@pytest.mark.parametrize(("pitch", "yaw"), [(math.pi / 2, -0.4), (-math.pi / 2, 0.4)])
+def test_straight_up_one_of_many_answers_is_taken(pitch: float, yaw: float) -> None:
+    matrix = np.round(of_angles(0.0, pitch, yaw), 15)
+    matrix[2, 0] = -math.copysign(1.0, pitch)
+    found = angles_of(matrix)
+    assert found[0] == 0.0
+    np.testing.assert_allclose(of_angles(*found), matrix, atol=1e-9)

@@ -1,0 +1,273 @@
+"""A client of a server of transforms, as `frameTransformClient` is one, and the Python way.
+
+with TransformClient() as frames:
+    frames.set("camera", "base", pose, static=True)     # pose: a matrix of 4 by 4
+    pose = frames.pose("camera", "map")                 # where the camera is on the map
+    points = frames.points(points, "camera", "map")     # (N, 3), seen by the camera, on the map
+    frames.getTransform("camera", "map", matrix)        # as in C++: true where it succeeded
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from yarp_compat.dev.client import PATIENCE, ServiceClient
+from yarp_compat.dev.frametransform import FrameTransform
+from yarp_compat.dev.frametransformstorage import (
+    CLIENT,
+    GET,
+    SERVER,
+    SET,
+    STREAM,
+    FrameTransformStorageGetRPC,
+    FrameTransformStorageSetRPC,
+    Transforms,
+)
+from yarp_compat.dev.frametree import FrameTree, Pose, TransformError, transform_of
+from yarp_compat.dev.iframetransform import IFrameTransform
+from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.errors import PortError
+from yarp_compat.naming.naming import Naming
+from yarp_compat.os.time import now
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.generation import Generation
+from yarp_compat.wire.message import Buffer
+from yarp_compat.wire.reader import Reader
+
+LIFETIME = 0.2
+"""Seconds after which what was received is too old, but for static transforms."""
+
+_AGAIN = 0.5
+"""Seconds between two attempts to have the server stream again."""
+
+_POLL = 0.01
+"""Seconds between two questions where the server does not stream."""
+
+
+class TransformClient(IFrameTransform):
+    """Frames of a server, between ``with`` and its end.
+
+    What the server streams is all that it has; it is taken apart when somebody asks. What came longer ago than
+    `LIFETIME` is no longer known, by this machine's clock alone.
+
+    Args:
+        server: begins the names of the server's ports: ``/robot`` for ``/robot/frameTransformServer/...``.
+        name: begins the names of the own ports, as ``/gui`` for ``/gui/frameTransformClient/...``; empty lets the
+            name server choose them.
+        streaming: hear the server's stream; else it is asked whenever somebody asks here.
+        timeout: seconds to wait for a reply; None: for ever.
+        naming: who knows the names; by default the name server of ``yarp.conf``.
+    """
+
+    def __init__(
+        self,
+        server: str = "",
+        name: str = "",
+        *,
+        streaming: bool = True,
+        timeout: float | None = PATIENCE,
+        naming: Naming | None = None,
+    ) -> None:
+        self._naming = naming or NameClient()
+        own = name and name + CLIENT
+        self._setter = ServiceClient(
+            FrameTransformStorageSetRPC, server + SERVER + SET, _of(own, SET), timeout=timeout, naming=self._naming
+        )
+        self._getter = ServiceClient(
+            FrameTransformStorageGetRPC, server + SERVER + GET, _of(own, GET), timeout=timeout, naming=self._naming
+        )
+        self._streamed = server + SERVER + STREAM
+        self._input = (
+            PortCore(_of(own, STREAM).replace(":o", ":i"), on_message=self._take, naming=self._naming, is_output=False)
+            if streaming
+            else None
+        )
+        self._came = threading.Condition()
+        self._newest: tuple[float, Buffer] | None = None
+        self._tree = FrameTree()
+        self._tree_of: float | None = None
+        self._again = 0.0
+
+    def open(self) -> Self:
+        """Open the ports, unless they are, and connect them.
+
+        Raises:
+            NamingError: there is no name server.
+            PortError: there is no such server.
+        """
+        try:
+            self._setter.open()
+            self._getter.open()
+            if self._input is not None:
+                self._fetched()  # whose reply tells the server's release, before it streams
+                if not self._input.is_open:
+                    self._input.open()
+                connections.connect(self._naming, self._streamed, self._input.name)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def close(self) -> None:
+        """Close the ports."""
+        if self._input is not None:
+            self._input.close()
+        self._getter.close()
+        self._setter.close()
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- the Python way: errors are exceptions ------------------------------------------------------------------------
+
+    def pose(self, child: str, parent: str, *, timeout: float = 0.0) -> Pose:
+        """Where a frame is in another, (4, 4).
+
+        Args:
+            child: the frame.
+            parent: the one in which it is wanted; anywhere in the tree.
+            timeout: seconds to wait until both are connected.
+
+        Raises:
+            TransformError: one is not known, or they are not connected.
+        """
+        if timeout > 0.0:
+            self.wait_until(lambda tree: tree.connected(child, parent), timeout)
+        return self.tree().pose(child, parent)
+
+    def points(self, points: ArrayLike, child: str, parent: str) -> NDArray[np.float64]:
+        """Points (N, 3) or (3) that one frame sees, as another does. Errors as `pose`."""
+        pose = self.pose(child, parent)
+        moved: NDArray[np.float64] = np.asarray(points, float) @ pose[:3, :3].T + pose[:3, 3]
+        return moved
+
+    def set(self, child: str, parent: str, pose: ArrayLike, *, static: bool = False) -> None:
+        """Say where a frame is in its parent, now or for ever.
+
+        Raises:
+            CallFailed: the server refuses it.
+            ValueError: the pose is not 4 by 4.
+        """
+        self.set_all({(child, parent): pose}, static=static)
+
+    def set_all(self, poses: Mapping[tuple[str, str], ArrayLike], *, static: bool = False) -> None:
+        """Say where many frames are, in one call; by frame and parent. Errors as `set`."""
+        stamp = now()
+        _succeeded(self.send([transform_of(*names, pose, stamp, static=static) for names, pose in poses.items()]))
+
+    def delete(self, child: str, parent: str) -> None:
+        """Delete what was set between two frames; ``*`` stands for any.
+
+        Raises:
+            CallFailed: there is nothing between them.
+        """
+        _succeeded(self.forget(child, parent))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.tree()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.tree().names())
+
+    # -- what `IFrameTransform` is made of ----------------------------------------------------------------------------
+
+    def tree(self) -> FrameTree:
+        """All frames as they are known now.
+
+        Raises:
+            OSError: the server is away, where it is asked.
+            CallFailed: it failed.
+        """
+        if self._input is None:
+            return FrameTree(self._fetched())
+        if not self._input.connections.inputs:
+            self._connect_again()
+        with self._came:
+            newest = self._newest
+            if newest is None:
+                return self._tree
+            came, payload = newest
+            if self._tree_of != came:
+                self._tree, self._tree_of = FrameTree(self._parsed(payload)), came
+            if time.monotonic() - came > LIFETIME and any(not t.isStatic for t in self._tree.transforms):
+                self._tree = FrameTree(t for t in self._tree.transforms if t.isStatic)
+            return self._tree
+
+    def send(self, transforms: list[FrameTransform]) -> ReturnValue:
+        """Set transforms in one call: `IFrameTransformStorageSet::setTransforms`."""
+        remote = self._setter.remote
+        return remote.setTransformRPC(transforms[0]) if len(transforms) == 1 else remote.setTransformsRPC(transforms)
+
+    def forget(self, one: str, other: str) -> ReturnValue:
+        """Delete what is between two frames."""
+        return self._setter.remote.deleteTransformRPC(one, other)
+
+    def forget_all(self) -> ReturnValue:
+        """Delete all transforms."""
+        return self._setter.remote.clearAllRPC()
+
+    def wait_until(self, known: Callable[[FrameTree], bool], timeout: float) -> bool:
+        """Wait until something holds of the frames; whether it does in time."""
+        deadline = time.monotonic() + timeout
+        while not known(self.tree()):
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return False
+            with self._came:
+                self._came.wait(min(left, _POLL if self._input is None else _AGAIN))
+        return True
+
+    def _fetched(self) -> list[FrameTransform]:
+        outcome, transforms = self._getter.remote.getTransformsRPC()
+        _succeeded(outcome)
+        return transforms
+
+    def _take(self, message: Message) -> None:
+        """Keep what was streamed, on its connection's thread."""
+        with self._came:
+            self._newest = time.monotonic(), message.payload
+            self._came.notify_all()
+
+    def _parsed(self, payload: Buffer) -> list[FrameTransform]:
+        """What was streamed, in the release that the server's replies told."""
+        generation = self._getter.generation
+        if generation is not Generation.YARP_3_11:
+            return Transforms.from_bytes(payload).transforms_list
+        source, found = Reader(payload, generation.profile, generation), Transforms()
+        found._read(source)
+        source.finish()
+        return found.transforms_list
+
+    def _connect_again(self) -> None:
+        """Have a server stream that was away."""
+        if self._input is None or time.monotonic() < self._again:
+            return
+        self._again = time.monotonic() + _AGAIN
+        try:
+            connections.connect(self._naming, self._streamed, self._input.name)
+        except (PortError, OSError):
+            return
+
+
+def _of(own: str, part: str) -> str:
+    return own and own + part.replace("_nws_", "_nwc_")
+
+
+def _succeeded(outcome: ReturnValue) -> None:
+    if not outcome:
+        raise CallFailed(outcome.code, "the server of transforms refused; its log says why")
+
+
+__all__ = ["TransformClient", "TransformError"]
