@@ -25,7 +25,8 @@ ANYBODY = "*"
 """In the list of trusted names: every machine that may join."""
 
 _CACHES = "**/@adv/**"
-_SPACES = ("**", _CACHES, abandon_key("**"), f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
+_STORE = "midspan/store"
+_SPACES = ("**", _CACHES, abandon_key("**"), f"{_STORE}/*/@sync/**", f"{ADMIN_SPACE}/**", f"{MIDSPAN_SPACE}/**")
 """``**`` does not match what begins with ``@``."""
 
 _LISTENING = ("declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber")
@@ -39,6 +40,9 @@ QUESTIONS = (
     "*/**/$*::action::dds_::$*_GetResult_/RIHS01_$*",
 )
 """Services that change nothing."""
+
+_READING = (f"{_STORE}/**", f"{_STORE}/*/@sync/digest/**", f"{_STORE}/*/@sync/fetch/**")
+"""What is kept (`bridge.stores`): whoever may join reads it, and those who are trusted alone change it."""
 
 _ANSWERS = tuple(f"*/**/$*::{middle}::dds_::$*/RIHS01_$*" for middle in ("srv", "action"))
 """A server may answer who calls it, also whether it takes a goal."""
@@ -73,7 +77,7 @@ def access_control(door: OpenSection, routing: RoutingSection, loopback: Sequenc
         # who is asked for a latched command could answer on any key
         _rule("keep", "ingress", ("put", "declare_queryable"), [f"{key}/@adv/**" for key in harmless]),
         _rule("serve", "ingress", ("declare_queryable",), ("**", control)),
-        _rule("ask", "ingress", ("query",), (*QUESTIONS, _CACHES, control)),
+        _rule("ask", "ingress", ("query",), (*QUESTIONS, *_READING, _CACHES, control)),
     ]
     everything = [_rule(f"everything {flow}", flow, _EVERYTHING, _SPACES) for flow in ("ingress", "egress")]
     return {

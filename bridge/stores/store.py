@@ -19,7 +19,7 @@ __all__ = ["Change", "Store", "Write"]
 
 T = TypeVar("T")
 
-_THE_MAP = "map"
+THE_MAP = "map"
 _BESIDE: dict[str, Kind[Any]] = {AREA.name: BEHAVIOUR}
 """What goes where a key of another kind goes."""
 
@@ -118,14 +118,14 @@ class Store:
 
     def current_map(self) -> str:
         """The name of the map that is in use, "" where none was chosen."""
-        return self.get(CURRENT, _THE_MAP) or ""
+        return self.get(CURRENT, THE_MAP) or ""
 
     def use_map(self, name: str) -> None:
         """Choose the map that is in use; raises `StoreError` where there is none of the name."""
         if not self.replica.has(MAP.name, name):
             msg = f"there is no map {name!r}; those that are: {', '.join(self.names(MAP)) or 'none'}"
             raise StoreError(msg)
-        self.put(CURRENT, _THE_MAP, name)
+        self.put(CURRENT, THE_MAP, name)
 
     def watch(self, heard: Heard, *kinds: Kind[Any]) -> Callable[[], None]:
         """Hear of every change of some kinds (none: of all), made here or elsewhere.

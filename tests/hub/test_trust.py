@@ -124,3 +124,39 @@ def test_without_tls_nobody_is_trusted_by_name() -> None:
     assert [policy["subjects"] for policy in rules["policies"]] == [["here"], ["others"]]
     everybody = access_control(door.model_copy(update={"trusted": ("*",)}), RoutingSection(), ["lo"])
     assert everybody["policies"][0]["subjects"] == ["here", "others"]
+
+
+@pytest.mark.parametrize(
+    ("message", "key", "may"),
+    [
+        ("query", "midspan/store/0/location/kitchen", True),
+        ("query", "midspan/store/**", True),
+        ("query", "midspan/store/0/@sync/digest/a1", True),
+        ("query", "midspan/store/0/@sync/fetch/a1/**", True),
+        ("query", "midspan/store/0/@sync/write/a1", False),
+        ("query", "midspan/store/0/@sync/**", False),
+        ("put", "midspan/store/0/location/kitchen", False),
+        ("put", "midspan/store/0/location/*", False),
+        ("put", "midspan/store/**", False),
+        ("delete", "midspan/store/0/location/kitchen", False),
+        ("reply", "midspan/store/0/location/kitchen", False),
+        ("reply", "midspan/store/0/@sync/fetch/a1/location/kitchen", False),
+        ("liveliness_token", "midspan/store/0/@sync/alive/a1/robot", True),
+    ],
+)
+def test_who_is_not_trusted_reads_the_store_and_cannot_change_it(message: str, key: str, may: bool) -> None:
+    door = OpenSection.model_validate({"listen": ["tls/0.0.0.0:7448"], "trusted": ["base"]})
+    rules = access_control(door, RoutingSection(), ["lo"])
+    names = {rule["id"]: rule for rule in rules["rules"]}
+    for subject, expected in (("others", may), ("trusted", True)):
+        mine = [
+            names[name] for policy in rules["policies"] if subject in policy["subjects"] for name in policy["rules"]
+        ]
+        passed = [
+            rule["id"]
+            for rule in mine
+            if "ingress" in rule["flows"]
+            and message in rule["messages"]
+            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
+        ]
+        assert bool(passed) is expected, (subject, passed)

@@ -11,11 +11,19 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from bridge.stores.kinds import AREA, LOCATION, MAP
+from bridge.hub.keyspace import KeySpace
+from bridge.hub.session import Hub
+from bridge.stores.client import StoreClient
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import AREA, BEHAVIOUR, LOCATION, MAP
+from bridge.stores.replica import Limits
+from bridge.stores.store import Write
+from bridge.stores.wire import prefix
 from tests.stores.parts import Shared
 from tests.stores.test_store import KITCHEN, grid
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
+from yarp_compat.dev.area_behaviour import AreaBehaviour
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 
 SECONDS = 30.0
@@ -164,6 +172,92 @@ def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplo
         assert names(one) == ["door", "good"]
         assert one.store.names(MAP) == ["m1"]
         assert len([1 for record in caplog.records if "is not taken" in record.getMessage()]) >= 3
+
+
+def test_a_client_reads_what_it_wrote(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session:
+        space = session.keyspace(prefix(0))
+        with pytest.raises(StoreError, match=r"set store\.enabled to true"):
+            StoreClient(space, "two")
+        with Shared(tmp_path, "one", hub.endpoint) as one, Shared(tmp_path, "two", hub.endpoint) as two:
+            all_joined(one, two)
+            client = until(lambda: wanted(space, "two"), "the daemon's own copy is found", SECONDS)
+            area = Map2DArea("m1", [], "hall")
+            client.write([Write(LOCATION, "a b", KITCHEN), Write(MAP, "m1", grid()), Write(AREA, "hall", area)])
+            assert two.store.get(LOCATION, "a b") == KITCHEN
+            assert client.get(LOCATION, "a b") == KITCHEN
+            assert client.all(MAP) == {"m1": grid()}
+            client.use_map("m1")
+            assert client.current_map() == "m1"
+            until(lambda: one.store.current_map() == "m1", "the other daemon has it too", SECONDS)
+            client.write([Write(LOCATION, "a b", None), Write(LOCATION, "never", None)])
+            assert client.names(LOCATION) == []
+            assert client.get(LOCATION, "a b") is None
+            two.store.put(BEHAVIOUR, "hall", AreaBehaviour(keep_out=True))
+            client.write([Write(AREA, "hall", None)])
+            assert two.store.names(BEHAVIOUR) == []
+            for bad, why in (
+                (Write(LOCATION, "a/b", KITCHEN), "the name 'a/b' has /"),
+                (Write(LOCATION, "a", Map2DLocation("m1", float("inf"))), "JSON cannot carry"),
+            ):
+                with pytest.raises(StoreError, match=why):
+                    client.write([bad])
+            with pytest.raises(StoreError, match="there is no map 'm2'; those that are: m1"):
+                client.use_map("m2")
+            two.replica.limits = Limits(keys=1)
+            with pytest.raises(StoreError, match=r"store\.keys"):
+                client.write([Write(LOCATION, "one more", KITCHEN)])
+
+
+def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path) -> None:
+    with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
+        zid = one.hub.zid if one.hub else ""
+        write = f"midspan/store/0/@sync/write/{zid}"
+        until(lambda: [r.err for r in session.get(write, payload=b"")], "it is there", SECONDS)
+        for body in (
+            b"",
+            b"{}",
+            b"[" * 100_000,
+            b'{"writes": 1}\n',
+            b'{"writes": [1]}\n',
+            b'{"writes": [{"key": "location/a", "size": -1}]}\n',
+            b'{"writes": [{"key": "location/a", "size": 1000}]}\n{}',
+            b'{"writes": [{"key": "location/a", "size": 2}]}\n{}{}',
+            b'{"writes": [{"key": "location/../a", "size": 2}]}\n{}',
+            b'{"writes": [{"key": "nothing/a", "size": 2}]}\n{}',
+            b'{"writes": [{"key": "location/a", "size": 2}]}\n[]',
+        ):
+            replies = list(session.get(write, payload=body))
+            assert [reply.err is not None for reply in replies] == [True], body
+        for verb in ("digest", "fetch"):
+            for body in (b"", b"[]", b'{"digests": 1, "keys": 1}', b'{"digests": [1], "keys": ["a/b/c"]}'):
+                rest = "/**" if verb == "fetch" else ""
+                replies = list(session.get(f"midspan/store/0/@sync/{verb}/{zid}{rest}", payload=body))
+                assert [reply.err is not None for reply in replies] == [True], body
+        for attached in (
+            b"{",
+            b"a" * 10_000,
+            b"{}",
+            json.dumps({"ns": 2**62, "replica": "aa", "origin": "x", "seen": {}}).encode(),
+            json.dumps({"ns": 1, "replica": "zz", "origin": "x", "seen": {}}).encode(),
+            json.dumps({"ns": 1, "replica": "aa", "origin": "\x1b[2J", "seen": {}}).encode(),
+            json.dumps({"ns": 1, "replica": "aa", "origin": "x", "seen": {"aa": "1"}}).encode(),
+            json.dumps(
+                {"ns": 1, "replica": "aa", "origin": "x", "seen": {f"{n:04x}": n for n in range(1, 99)}}
+            ).encode(),
+        ):
+            session.put("midspan/store/0/location/bad", b"{}", attachment=attached)
+        session.put("midspan/store/0/location/good", b"{}")
+        until(lambda: names(one), "the good one is taken", SECONDS)
+        assert names(one) == ["good"]
+
+
+def wanted(space: KeySpace, daemon: str) -> StoreClient | None:
+    """A client of a daemon's own copy, None while it is not known yet."""
+    with contextlib.suppress(StoreError):
+        client = StoreClient(space, daemon)
+        return client if client.daemon == daemon else None
+    return None
 
 
 @contextlib.contextmanager

@@ -25,6 +25,7 @@ from bridge.stores.kinds import (
 )
 from bridge.stores.replica import Change, Limits, Replica
 from bridge.stores.store import Store, Write
+from bridge.stores.table import Table
 from tests.stores.conftest import Make
 from tests.support.wait import until
 from yarp_compat.dev.area_behaviour import AreaBehaviour
@@ -278,3 +279,12 @@ def test_a_closed_store_says_so(store: Store) -> None:
         store.get(LOCATION, "a")
     with pytest.raises(StoreError, match="closed"):
         store.put(LOCATION, "a", KITCHEN)
+
+
+def test_what_is_acknowledged_is_synced_to_the_disk(tmp_path: Path) -> None:
+    table = Table(tmp_path / "s.sqlite")
+    try:
+        assert table._base.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
+        assert table._base.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    finally:
+        table.close()

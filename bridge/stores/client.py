@@ -1,0 +1,106 @@
+"""The store as a verb of the command line has it: one daemon's copy, asked over the hub."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from bridge.hub.errors import HubError
+from bridge.hub.keyspace import KeySpace
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import CURRENT, MAP, Kind
+from bridge.stores.names import check_name
+from bridge.stores.store import THE_MAP, Write
+from bridge.stores.wire import key_of
+
+T = TypeVar("T")
+
+_SECONDS = 10.0
+
+
+class StoreClient:
+    """Reads and writes one daemon's copy. What it reads is as new as what it wrote before.
+
+    Args:
+        space: the keys beneath `bridge.stores.wire.prefix`.
+        daemon: whose copy is preferred; another's where that one keeps none.
+
+    Raises:
+        StoreError: nobody keeps a store.
+    """
+
+    def __init__(self, space: KeySpace, daemon: str) -> None:
+        self._space = space
+        found = [token.removeprefix("@sync/alive/").partition("/") for token in space.tokens("@sync/alive/*/*")]
+        copies = sorted((name != daemon, name, zid) for zid, _, name in found)
+        if not copies:
+            raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")
+        _, self.daemon, self._zid = copies[0]
+
+    def names(self, kind: Kind[Any]) -> list[str]:
+        """The names of a kind's values, sorted."""
+        return sorted(name for each, name in self._keys() if each == kind.name)
+
+    def get(self, kind: Kind[T], name: str) -> T | None:
+        """A value, None where there is none."""
+        return self._fetch(kind, [name] if check_name(name) in self.names(kind) else []).get(name)
+
+    def all(self, kind: Kind[T]) -> dict[str, T]:
+        """All values of a kind, in the order of their names."""
+        return self._fetch(kind, self.names(kind))
+
+    def write(self, writes: Sequence[Write[Any]]) -> None:
+        """Write and delete values in one transaction; on that daemon's disk when this returns.
+
+        Raises:
+            StoreError: it cannot be, or the daemon did not answer; the text says which.
+        """
+        bodies: list[bytes] = []
+        told: list[Mapping[str, Any]] = []
+        for each in writes:
+            key = f"{each.kind.name}/{check_name(each.name)}"
+            if each.value is None:
+                told.append({"key": key, "size": None})
+            else:
+                bodies.append(each.kind.encode(each.name, each.value)[0])
+                told.append({"key": key, "size": len(bodies[-1])})
+        self._ask("write", "", b"\n".join((json.dumps({"writes": told}).encode(), b"".join(bodies))))
+
+    def current_map(self) -> str:
+        """The name of the map that is in use, "" where none was chosen."""
+        return self.get(CURRENT, THE_MAP) or ""
+
+    def use_map(self, name: str) -> None:
+        """Choose the map that is in use; raises `StoreError` where there is none of the name."""
+        names = self.names(MAP)
+        if name not in names:
+            raise StoreError(f"there is no map {name!r}; those that are: {', '.join(names) or 'none'}")
+        self.write([Write(CURRENT, THE_MAP, name)])
+
+    def _keys(self) -> list[tuple[str, str]]:
+        """All keys that have a value."""
+        answer = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}")
+        return [(kind, name) for kind, name, _, _, size in answer.get("entries", []) if size]
+
+    def _fetch(self, kind: Kind[T], names: Sequence[str]) -> dict[str, T]:
+        if not names:
+            return {}
+        keys = json.dumps({"keys": [f"{kind.name}/{name}" for name in names]}).encode()
+        found: dict[str, T] = {}
+        under = f"@sync/fetch/{self._zid}/"
+        for item in self._ask("fetch", "/**", keys):
+            if item.body is not None:
+                _, name = key_of(item.key.removeprefix(under))
+                found[name] = kind.decode(name, item.body)
+        return dict(sorted(found.items()))
+
+    def _ask(self, verb: str, rest: str, body: bytes) -> list[Any]:
+        try:
+            answers = self._space.ask(f"@sync/{verb}/{self._zid}{rest}", body, _SECONDS)
+        except HubError as err:
+            raise StoreError(str(err)) from None
+        if not answers:
+            refused = "or a door between the machines refuses this (hub.open.trusted)"
+            raise StoreError(f"the store of {self.daemon} did not answer; {refused}")
+        return answers

@@ -1,0 +1,58 @@
+"""A store whose process is killed in the middle of its writes: nothing that it acknowledged is lost."""
+
+from __future__ import annotations
+
+import random
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from bridge.stores.kinds import LOCATION
+from bridge.stores.replica import Replica
+from bridge.stores.store import Store
+from tests.support.hub import ROOT
+from tests.support.process import Process
+
+WRITER = Path(__file__).with_name("writer.py")
+COUNT = 1000
+
+
+@pytest.mark.parametrize("again", range(2))
+def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
+    file = tmp_path / "store.sqlite"
+    last = random.randrange(100, COUNT - 100)
+    acknowledged = write(file, 0, kill_at=last)
+    assert last <= acknowledged < COUNT - 1, "it was killed in the middle"
+    check(file, acknowledged)
+    if again:  # the file of a killed process is written on, and that one is killed too
+        acknowledged = write(file, acknowledged + 1, kill_at=acknowledged + 50)
+        check(file, acknowledged)
+
+
+def write(file: Path, first: int, kill_at: int) -> int:
+    """Have a process write, kill it at a number, and return the last number that it acknowledged."""
+    with Process(
+        [sys.executable, WRITER, file, str(first), str(COUNT)], {"PYTHONPATH": str(ROOT)}, pipes=True
+    ) as process:
+        assert process.popen.stdout is not None
+        told = -1
+        for line in process.popen.stdout:
+            told = int(line)
+            if told == kill_at:
+                process.signal(signal.SIGKILL)
+        assert told >= kill_at, process.output()
+        return told
+
+
+def check(file: Path, acknowledged: int) -> None:
+    """Every name holds the last value that was acknowledged for it, or the one that was under way."""
+    replica = Replica(file, "reader")
+    try:
+        found = {name: value.x for name, value in Store(replica).all(LOCATION).items()}
+    finally:
+        replica.close()
+    wanted = {f"l{number % 400}": float(number) for number in range(acknowledged + 1)}
+    under_way = {f"l{(acknowledged + 1) % 400}": float(acknowledged + 1)}
+    assert found in (wanted, wanted | under_way)
