@@ -118,6 +118,19 @@ class Feed:
                 return None
             self.look()
 
+    def take(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
+        """Keep a message that came, on a thread of zenoh."""
+        kept = sample.payload if self._payloads else None
+        time_ns = sample.source_time_ns or None
+        arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
+        with self._arrived:
+            self._queue.append(arrival)
+            self._bytes += arrival.size if self._payloads else 0
+            while len(self._queue) > MAX_QUEUED or (self._bytes > MAX_QUEUED_BYTES and len(self._queue) > 1):
+                self._bytes -= self._queue.popleft().size if self._payloads else 0
+                self.overrun += 1
+            self._arrived.notify()
+
     def close(self) -> None:
         """Listen no more; the taps end by themselves."""
         for subscription in self._subscriptions.values():
@@ -139,7 +152,7 @@ class Feed:
             origin = self._client.hub.graph.origin_of(sample.zid)
             side = "zenoh" if origin is None else origin.side
             if self._side in (None, side):
-                self._put(sample, type_name, type_hash, side)
+                self.take(sample, type_name, type_hash, side)
 
         self._subscriptions[key] = self._client.hub.subscription(topic, type_name, type_hash, qos, heard)
 
@@ -154,18 +167,6 @@ class Feed:
                 self._taps.add(topic)
                 # the tap may hold latched messages; a subscription that asks for them hears the others too
                 self._subscribe((topic, type_name, type_hash), _TAP_QOS)
-
-    def _put(self, sample: HubSample, type_name: str, type_hash: str, side: str) -> None:
-        kept = sample.payload if self._payloads else None
-        time_ns = sample.source_time_ns or None
-        arrival = Arrival(kept, len(sample.payload), type_name, type_hash, time_ns, time.monotonic(), side)
-        with self._arrived:
-            self._queue.append(arrival)
-            self._bytes += arrival.size if self._payloads else 0
-            while len(self._queue) > MAX_QUEUED or (self._bytes > MAX_QUEUED_BYTES and len(self._queue) > 1):
-                self._bytes -= self._queue.popleft().size if self._payloads else 0
-                self.overrun += 1
-            self._arrived.notify()
 
     def _why_not(self) -> str:
         decisions = ask_decisions(self._client, self.topic)

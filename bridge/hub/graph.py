@@ -122,6 +122,10 @@ class HubGraph:
         with self._lock:
             return list(self._endpoints.values())
 
+    def endpoint(self, gid: bytes) -> HubEndpoint | None:
+        """The endpoint with this GID, None where it is not known; not for each sample."""
+        return next((endpoint for endpoint in self.endpoints() if endpoint.gid == gid), None)
+
     def publishers(self, topic: str | None = None) -> list[HubEndpoint]:
         """All publishers, or those of one topic."""
         return self._of_kind(EndpointKind.PUBLISHER, topic)

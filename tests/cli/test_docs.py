@@ -6,6 +6,7 @@ import argparse
 import re
 import shlex
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from bridge.cli.verbs import VERBS
 from bridge.doctor.checks import CHECKS
 from bridge.messages.json import from_json
 from bridge.messages.registry import Registry
+from bridge.tf.stamped import Stamped, write
 from tests.cli.conftest import Midspan
 from tests.cli.workers import EngineWorker
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
 DOCS = Path(__file__).parents[2] / "docs"
+TF = "tf2_msgs/msg/TFMessage"
 SCAN, MAP, LOG = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "rcl_interfaces/msg/Log"
 
 
@@ -34,7 +37,7 @@ def examples(page: str) -> list[list[str]]:
 CLI = examples("cli.md")
 RUN = [
     words for words in CLI
-    if words[0] in ("status", "top", "explain", "topic") and "--interval" not in words and "--router" not in words
+    if words[0] in ("status", "top", "explain", "topic", "tf") and "--interval" not in words and "--router" not in words
 ]  # fmt: skip
 
 
@@ -62,12 +65,17 @@ def robot(network: HubNetwork, registry: Registry, closing: list[Any]) -> Any:
     ]
     grid = from_json(registry, MAP, {"info": {"width": 2, "height": 2}, "data": [0, 0, 100, -1]})
     worker.side.write(worker.advertise("/map", MAP, latched=True), grid)
-    until(lambda: len(worker.engine.routes()) == 2, "the routes are there")
+    mount = [Stamped("base_link", "laser", 0, (0.2, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))]
+    worker.side.write(worker.advertise("/tf_static", TF, latched=True), write(mount))
+    moving = worker.advertise("/tf", TF)
+    until(lambda: len(worker.engine.routes()) == 4, "the routes are there")
     stop = threading.Event()
 
     def talk() -> None:
         while not stop.wait(0.02):
-            for writer, cdr in writers:
+            at = time.time_ns()
+            base = [Stamped("map", "base_link", at, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))]
+            for writer, cdr in [*writers, (moving, write(base))]:
                 worker.side.write(writer, cdr)
 
     thread = threading.Thread(target=talk)
