@@ -51,6 +51,32 @@ def test_imports_point_one_way(part: str) -> None:
     assert not wrong
 
 
+def test_the_simulator_stands_on_the_hub_the_module_host_and_yarp_compat() -> None:
+    below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
+    allowed = {*below, "bridge.tf", "bridge.worker", "sim", "yarp_compat"}
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in (ROOT / "sim").rglob("*.py")
+        for name, _ in every_import(file)
+        if name.split(".")[0] in ("bridge", "navigation", "yarp_compat", "tests")
+        if not any(name == good or name.startswith(good + ".") for good in allowed)
+    }
+    assert not wrong
+
+
+def test_navigation_stands_on_the_hub_the_store_and_the_module_host() -> None:
+    below = {"bridge.clock", "bridge.config", "bridge.hub", "bridge.messages", "bridge.modules", "bridge.stores"}
+    allowed = {*below, "bridge.tf", "bridge.worker", "navigation", "yarp_compat"}
+    wrong = {
+        f"{file.relative_to(ROOT)} imports {name}"
+        for file in (ROOT / "navigation").rglob("*.py")
+        for name, _ in every_import(file)
+        if name.split(".")[0] in ("bridge", "sim", "yarp_compat", "tests", "rospy", "rclpy", "zenoh", "socket")
+        if not any(name == good or name.startswith(good + ".") for good in allowed)
+    }
+    assert not wrong
+
+
 def test_yarp_compat_stands_alone() -> None:
     late = {"PIL", "yaml"}  # the files of maps
     allowed = sys.stdlib_module_names | {"yarp_compat", "numpy", *late}

@@ -16,6 +16,7 @@ from bridge.config.sections.ros1 import Ros1Section
 from bridge.config.sections.ros2 import Ros2Section
 from bridge.config.sections.routing import RoutingSection
 from bridge.config.sections.section import Section
+from bridge.config.sections.sim import SimSection
 from bridge.config.sections.store import StoreSection
 from bridge.config.sections.yarp import YarpSection
 from bridge.config.sections.zenoh import ZenohSection
@@ -76,6 +77,7 @@ class Config(Section):
     )
     yarp: YarpSection = Field(default_factory=YarpSection, description="The YARP side.")
     modules: ModulesSection = Field(default_factory=ModulesSection, description="The modules that Midspan hosts.")
+    sim: SimSection = Field(default_factory=SimSection, description="The simulated base.")
     store: StoreSection = Field(default_factory=StoreSection, description="The store of maps and locations.")
     clock: ClockSection = Field(default_factory=ClockSection, description="The time scale of this run.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")

@@ -108,6 +108,12 @@ WORKERS = (
         "bridge.modules.worker:ModulesWorker",
         sections=frozenset({"modules", "store", "types", "limits", "yarp"}),
     ),
+    WorkerKind(
+        "sim",
+        "sim.worker:SimWorker",
+        sections=frozenset({"sim", "clock", "types", "limits", "yarp"}),
+        environment="sim.environment",
+    ),
 )
 
 

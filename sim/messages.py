@@ -1,0 +1,127 @@
+"""What the simulation knows, as messages of ROS 2."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sim.base import Encoders, Pose, Twist
+from sim.battery import Charge
+from sim.laser import Scan
+from sim.names import Names
+from sim.odometry import Estimate
+
+Message = dict[str, Any]
+_UNKNOWN = 0  # sensor_msgs/BatteryState
+_DISCHARGING = 2
+_LION = 2
+_POSE_VARIANCE = np.diag([0.01, 0.01, 1e6, 1e6, 1e6, 0.03]).ravel()
+"""What drivers of such bases say: of height and tilt, odometry knows nothing."""
+
+
+def stamp(time_ns: int) -> Message:
+    """builtin_interfaces/Time."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+def header(time_ns: int, frame: str) -> Message:
+    """std_msgs/Header."""
+    return {"stamp": stamp(time_ns), "frame_id": frame}
+
+
+def turned(yaw: float) -> Message:
+    """geometry_msgs/Quaternion about the vertical."""
+    return {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+
+
+def odometry(time_ns: int, pose: Pose, twist: Twist, frame: str, child: str, *, sure: bool = False) -> Message:
+    """nav_msgs/Odometry."""
+    linear, angular = {"x": twist.x, "y": twist.y, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": twist.yaw}
+    said: Message = {
+        "header": header(time_ns, frame),
+        "child_frame_id": child,
+        "pose": {"pose": {"position": {"x": pose.x, "y": pose.y, "z": 0.0}, "orientation": turned(pose.yaw)}},
+        "twist": {"twist": {"linear": linear, "angular": angular}},
+    }
+    if not sure:
+        said["pose"]["covariance"] = said["twist"]["covariance"] = _POSE_VARIANCE
+    return said
+
+
+def estimate(time_ns: int, found: Estimate, names: Names) -> Message:
+    """The odometry's nav_msgs/Odometry."""
+    return odometry(time_ns, found.pose, found.twist, names.odom_frame, names.base_frame)
+
+
+def transform(time_ns: int, parent: str, child: str, pose: Pose, height: float = 0.0) -> Message:
+    """tf2_msgs/TFMessage of one transform."""
+    translation = {"x": pose.x, "y": pose.y, "z": height}
+    one = {
+        "header": header(time_ns, parent),
+        "child_frame_id": child,
+        "transform": {"translation": translation, "rotation": turned(pose.yaw)},
+    }
+    return {"transforms": [one]}
+
+
+def joints(time_ns: int, names: tuple[str, ...], encoders: Encoders) -> Message:
+    """sensor_msgs/JointState."""
+    return {
+        "header": header(time_ns, ""),
+        "name": list(names),
+        "position": encoders.positions,
+        "velocity": encoders.velocities,
+    }
+
+
+def scan(time_ns: int, found: Scan, frame: str, rate: float) -> Message:
+    """sensor_msgs/LaserScan. All beams are of one moment."""
+    return {
+        "header": header(time_ns, frame),
+        "angle_min": found.first,
+        "angle_max": found.first + (len(found.ranges) - 1) * found.step,
+        "angle_increment": found.step,
+        "scan_time": 1.0 / rate,
+        "range_min": found.nearest,
+        "range_max": found.farthest,
+        "ranges": found.ranges.astype("<f4"),
+    }
+
+
+def battery(time_ns: int, charge: Charge) -> Message:
+    """sensor_msgs/BatteryState."""
+    return {
+        "header": header(time_ns, ""),
+        "voltage": charge.voltage,
+        "temperature": math.nan,
+        "current": charge.current,
+        "charge": charge.share * charge.capacity,
+        "capacity": charge.capacity,
+        "design_capacity": charge.capacity,
+        "percentage": charge.share,
+        "power_supply_status": _DISCHARGING,
+        "power_supply_health": _UNKNOWN,
+        "power_supply_technology": _LION,
+        "present": True,
+    }
+
+
+def image(time_ns: int, picture: np.ndarray) -> Message:
+    """sensor_msgs/Image of (height, width, 3) bytes."""
+    height, width, _ = picture.shape
+    return {
+        "header": header(time_ns, "map"),
+        "height": height,
+        "width": width,
+        "encoding": "rgb8",
+        "step": width * 3,
+        "data": np.ascontiguousarray(picture).tobytes(),
+    }
+
+
+def velocity(message: Message) -> Twist:
+    """The velocity of a geometry_msgs/Twist."""
+    return Twist(message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])

@@ -1,0 +1,185 @@
+"""The simulator on the hub: its topics, commands and services, and its time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from sim.worker import SimWorker
+from tests.contract.hubside import HubSide
+from tests.support.ports import free_port
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+WHEELS = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
+
+
+class Place:
+    """A hub, the worker, and somebody far away."""
+
+    def __init__(self, folder: Path) -> None:
+        self.hubs = QuickHub()
+        self.folder, self.port = folder, free_port()
+        self.worker = SimWorker()
+        self.far = HubSide(Hub.open(self.hubs.settings("far")), Registry())
+
+    def config(self, **sim: Any) -> Config:
+        return Config.model_validate({
+            "name": "here",
+            "state": self.folder,
+            "hub": {"listen": self.hubs.endpoint},
+            "yarp": {"address": f"127.0.0.1:{self.port}", "namespace": "/root", "ip": "127.0.0.1"},
+            "sim": {"plan": "apartment", **sim},
+        })  # fmt: skip
+
+    def call(self, service: str, kind: str, **request: Any) -> dict[str, Any]:
+        result = self.far.call(service, kind, **request).result()
+        assert result["reply"] is not None, result
+        reply: dict[str, Any] = result["reply"]
+        return reply
+
+    def named(self, service: str, name: str) -> dict[str, Any]:
+        return self.call(f"/sim/{service}", "midspan_msgs/Named", name=name)
+
+    def step(self, seconds: float, *wait_for: str, patience: float = 20.0) -> dict[str, Any]:
+        return self.call("/sim/step", "midspan_msgs/Step", seconds=seconds, wait_for=list(wait_for), patience=patience)
+
+    def status(self) -> dict[str, Any]:
+        def answer() -> dict[str, Any] | None:
+            answers = self.far.hub.ask("status", {}, worker="sim")
+            return next((a.value for a in answers if isinstance(a.value, dict)), None)
+
+        found: dict[str, Any] = until(answer, "the simulator's status", 20)
+        return found
+
+    def close(self) -> None:
+        self.worker.stop()
+        self.far.hub.close()
+        self.hubs.stop_router()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    made = Place(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> None:
+    far = place.far
+    heard = {
+        topic: far.subscribe(topic, kind)
+        for topic, kind in {
+            "/clock": "rosgraph_msgs/Clock",
+            "/scan": "sensor_msgs/LaserScan",
+            "/odom": "nav_msgs/Odometry",
+            "/tf": "tf2_msgs/TFMessage",
+            "/joint_states": "sensor_msgs/JointState",
+            "/battery_state": "sensor_msgs/BatteryState",
+            "/ground_truth": "nav_msgs/Odometry",
+            "/bumper": "std_msgs/Bool",
+        }.items()
+    }
+    place.worker.start(place.config(speed="step", start=(3.0, 8.2, -90.0)))
+    for topic in heard:
+        far.until_published(topic)
+    velocity = far.advertise("/cmd_vel", "geometry_msgs/Twist")
+    acknowledge = far.advertise("/sim/acknowledge", "std_msgs/Header")
+
+    def go() -> float:
+        """A tenth of a second with a command, until the robot moves: the first commands may find no way."""
+        far.publish(velocity, {"linear": {"x": 0.2}})
+        place.step(0.1)
+        return float(-place.status()["truth"][1] + 8.2)
+
+    until(lambda: go() > 0.05, "it drives", 30)
+    last = {topic: far.wait(end, 1)[-1] for topic, end in heard.items() if topic != "/battery_state"}
+    assert last["/scan"]["header"]["frame_id"] == "laser"
+    assert len(last["/scan"]["ranges"]) == 720
+    assert last["/odom"]["child_frame_id"] == "base_link"
+    assert last["/tf"]["transforms"][0]["child_frame_id"] == "base_link"
+    assert last["/joint_states"]["name"] == WHEELS
+    assert last["/ground_truth"]["pose"]["pose"]["position"]["x"] == pytest.approx(3.0, abs=0.01)
+    assert not place.step(0.01, "planner", patience=0.1)["success"]
+    waiting = far.call("/sim/step", "midspan_msgs/Step", seconds=1.0, wait_for=["planner"], patience=30.0)
+    until(lambda: place.step(0.01)["message"].startswith("another step"), "the step is under way")
+    now = far.wait(heard["/battery_state"], 1)[-1]["header"]["stamp"]["sec"] + 1000
+    until(
+        lambda: (
+            far.publish(acknowledge, {"frame_id": "planner", "stamp": {"sec": now}}),
+            waiting.result(0.05)["done"],
+        )[1],
+        "the acknowledgement is heard",
+        20,
+    )
+    assert waiting.result()["reply"]["success"]
+    assert far.wait(heard["/clock"], 1)[-1]["clock"]["sec"] >= 1
+    again = place.call("/sim/reset", "std_srvs/Trigger")
+    assert again["success"]
+    assert place.status()["truth"][:2] == [3.0, 8.2]
+
+
+def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
+    far = place.far
+    scan = far.subscribe("/laser", "sensor_msgs/LaserScan")
+    place.worker.start(place.config(names="r1", drive="wheels", yarp="", laser={"beams": 8}))
+    first = far.wait(scan, 1, 20)[0]
+    assert first["header"]["frame_id"] == "mobile_base_double_lidar"
+    assert first["header"]["stamp"]["sec"] > 1_700_000_000
+    assert not far.publishers("/odometry")  # BaseControl's
+    assert not far.publishers("/clock")
+    wheels = far.advertise("/wheel_command", "sensor_msgs/JointState")
+
+    def drive() -> float:
+        far.publish(wheels, {"name": WHEELS[::-1], "velocity": [1.0, 0.5]})
+        return float(place.status()["truth"][2])
+
+    start = place.status()["truth"][2]
+    until(lambda: drive() > start + 0.05, "it turns to the left", 30)
+    wrong = {"name": ["wheel"], "velocity": [1.0]}
+    until(lambda: (far.publish(wheels, wrong), place.status()["refused_commands"])[1], "a wrong command is refused")
+    assert place.call("/sim/emergency_stop", "std_srvs/SetBool", data=True)["success"]
+    assert place.status()["emergency_stop"]
+    assert place.named("close", "kitchen_door")["success"]
+    assert not place.status()["doors"]["kitchen_door"]
+    assert place.named("open", "kitchen_door")["success"]
+    assert "doors: kitchen_door" in place.named("open", "gate")["message"]
+    spawned = {"name": "chest", "pose": {"x": 1.5, "y": 3.0}, "size": [0.4, 0.4, 0.4], "mass": 2.0}
+    assert place.call("/sim/spawn", "midspan_msgs/Spawn", **spawned)["success"]
+    assert "taken" in place.call("/sim/spawn", "midspan_msgs/Spawn", **spawned)["message"]
+    assert "finite" in place.call("/sim/spawn", "midspan_msgs/Spawn", name="x", pose={"x": 1e9})["message"]
+    assert place.named("remove", "chest")["success"]
+    path = [{"x": 2.0, "y": 4.8}, {"x": 3.0, "y": 4.8}]
+    assert place.call("/sim/walk", "midspan_msgs/Walk", name="anna", path=path)["success"]
+    assert "people: anna" in place.call("/sim/walk", "midspan_msgs/Walk", name="bob", path=path)["message"]
+    assert "links: none" in place.named("ride", "lift")["message"]
+    to = {"x": 1.6, "y": 2.4, "theta": math.pi / 2}
+    assert place.call("/sim/teleport", "midspan_msgs/Teleport", pose=to)["success"]
+    assert place.status()["truth"][1] == pytest.approx(2.4, abs=0.05)
+    assert not place.call("/sim/teleport", "midspan_msgs/Teleport", pose={"x": 0.0, "y": 0.0})["success"]
+    assert place.call("/sim/pause", "std_srvs/SetBool", data=True)["success"]
+    stands = place.status()["time"]
+    assert place.status()["time"] == stands
+    assert place.step(0.5)["success"]
+    assert place.status()["time"] == pytest.approx(stands + 0.5)
+    assert place.call("/sim/pause", "std_srvs/SetBool", data=False)["success"]
+    until(lambda: place.status()["time"] > stands + 0.6, "it goes on")
+
+
+def test_what_is_wrong_is_told_and_mended_by_a_reload(place: Place) -> None:
+    place.worker.start(place.config(plan="castle"))
+    health = place.worker.health()
+    assert health.state == "waiting"
+    assert "castle" in health.text
+    assert place.worker.reload(place.config(plan="hall", speed="max"))
+    assert place.worker.health().state == "running"
+    until(lambda: place.status()["time"] > 1, "as fast as it can")
