@@ -14,6 +14,9 @@ from dataclasses import dataclass, field
 MOST_SEEN = 32
 """Replicas that a version remembers; the longest silent ones are forgotten first."""
 
+OLDEST = 1
+"""The time of what is imported: older than anything that was ever written."""
+
 LATEST = (1 << 32) * 1_000_000_000
 """Nanoseconds since 1970 that a stamp stays below: what zenoh's 64-bit NTP time can tell."""
 

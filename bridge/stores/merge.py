@@ -6,7 +6,7 @@ import json
 import time
 from dataclasses import dataclass
 
-from bridge.stores.entry import Entry
+from bridge.stores.entry import OLDEST, Entry
 
 _MOST_TEXT = 300
 
@@ -37,6 +37,8 @@ def conflict(one: Entry, other: Entry) -> Conflict | None:
     """The conflict of two entries of one key, None where one followed the other or both say the same."""
     if one.version.knows(other.version) or other.version.knows(one.version) or one.body == other.body:
         return None
+    if (one.version.stamp.ns == OLDEST) is not (other.version.stamp.ns == OLDEST):
+        return None  # what was imported gives way to what was written
     lost, holds = sorted((one, other), key=lambda entry: entry.version.stamp)
     return Conflict(holds, lost)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.hub.errands import Errands
-from bridge.stores.entry import LATEST, Entry, Stamp, Version, follow
+from bridge.stores.entry import LATEST, OLDEST, Entry, Stamp, Version, follow
 from bridge.stores.errors import StoreError
 from bridge.stores.merge import conflict
 from bridge.stores.table import Table
@@ -157,15 +157,19 @@ class Replica:
                 if known.size is not None or known.version.stamp.ns > oldest
             }
 
-    def write(self, changes: Mapping[Key, Body | None]) -> list[Entry]:
+    def write(self, changes: Mapping[Key, Body | None], *, oldest: bool = False) -> list[Entry]:
         """Write values, or delete them (None), in one transaction; on the disk when this returns.
+
+        Args:
+            changes: the values by their keys.
+            oldest: they are older than anything that was ever written, and hold only where there is nothing.
 
         Raises:
             StoreError: there is no room, or the file cannot be written; nothing has changed.
         """
         with self._lock:
             self._check_open()
-            entries = [self._stamped(key, body) for key, body in changes.items()]
+            entries = [self._stamped(key, body, oldest=oldest) for key, body in changes.items()]
             self._take(entries, here=True)
             for send in self._senders:
                 send(entries)
@@ -244,9 +248,11 @@ class Replica:
             self._table.close()
         self._events.close()
 
-    def _stamped(self, key: Key, body: Body | None) -> Entry:
+    def _stamped(self, key: Key, body: Body | None, *, oldest: bool) -> Entry:
         before = self._known.get(key)
         now = self._last = max(time.time_ns(), self._last + 1)
+        if oldest:
+            now = OLDEST
         # a key from a machine whose clock is ahead is changed all the same, and other keys keep our time
         above = 0 if before is None else before.version.stamp.ns + 1
         if above >= LATEST:

@@ -12,6 +12,7 @@ from bridge.config.state import worker_folder
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub, HubSettings
 from bridge.stores.errors import StoreError
+from bridge.stores.importing import import_at_start
 from bridge.stores.replica import Limits, Replica
 from bridge.stores.sharing import Share
 from bridge.stores.store import Store
@@ -80,6 +81,7 @@ class StoreService:
         replica = Replica(worker_folder(config) / f"{self._name}.sqlite", config.name, limits)
         try:
             store = Store(replica)
+            import_at_start(store, section)
             hub = self._joined()
             share = Share(replica, hub.keyspace(prefix(config.hub.domain)), hub.zid)
         except BaseException:

@@ -1,0 +1,86 @@
+"""Files into the store: at start, once, and below everything that was ever written."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from bridge.config.sections.store import StoreSection
+from bridge.stores.importing import import_at_start
+from bridge.stores.kinds import AREA, BEHAVIOUR, LINK, LOCATION, MAP
+from tests.stores.conftest import Make
+from tests.stores.test_store import KITCHEN, grid
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.extras import Extras, extras_file
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapcollection import save_maps
+from yarp_compat.dev.maplink import MapLink
+from yarp_compat.dev.places import Places
+from yarp_compat.sig.vec2d import Vec2D
+
+
+@pytest.fixture
+def section(tmp_path: Path) -> StoreSection:
+    """A collection of two maps, and a file of places with one beside it."""
+    save_maps({name: grid(name) for name in ("m1", "m2")}, tmp_path / "maps_collection.ini")
+    area = Map2DArea("m1", [Vec2D(0.0, 0.0), Vec2D(1.0, 0.0), Vec2D(1.0, 1.0)])
+    file = tmp_path / "locations.ini"
+    Places({"kitchen": KITCHEN, "hall": Map2DLocation("m2", 1.0)}, {}, {"zone": area}).save(file)
+    Extras({"zone": AreaBehaviour(max_speed=0.3)}, {"lift": MapLink("kitchen", "hall", 5.0)}).save(extras_file(file))
+    return StoreSection(maps=tmp_path / "maps_collection.ini", locations=file)
+
+
+def test_all_is_imported_once(make: Make, section: StoreSection) -> None:
+    store = make()
+    import_at_start(store, section)
+    assert store.names(MAP) == ["m1", "m2"]
+    assert store.get(MAP, "m2") == grid("m2")
+    assert store.current_map() == "m1"
+    assert store.get(LOCATION, "kitchen") == KITCHEN
+    assert store.all(BEHAVIOUR) == {"zone": AreaBehaviour(max_speed=0.3)}
+    assert store.all(LINK) == {"lift": MapLink("kitchen", "hall", 5.0)}
+    store.delete(MAP, "m2")
+    store.delete(LOCATION, "hall")
+    store.put(LOCATION, "kitchen", Map2DLocation("m1", 9.0))
+    store.put(AREA, "new", Map2DArea("m1"))
+    before = store.replica.versions()
+    import_at_start(store, section)
+    assert store.replica.versions() == before
+
+
+def test_what_a_machine_imports_changes_nothing_where_it_joins(make: Make, section: StoreSection) -> None:
+    old, new = make("old"), make("new")
+    old.put(LOCATION, "kitchen", Map2DLocation("m1", 9.0))
+    old.put(MAP, "m1", grid("m1", seed=2))
+    import_at_start(new, section)
+    for key in old.replica.versions():
+        entry = old.replica.entry(*key)
+        assert entry is not None
+        assert new.replica.merge(entry)
+    for key in new.replica.versions():
+        entry = new.replica.entry(*key)
+        assert entry is not None
+        old.replica.merge(entry)
+    for each in (old, new):
+        assert each.get(LOCATION, "kitchen") == Map2DLocation("m1", 9.0)
+        assert each.get(MAP, "m1") == grid("m1", seed=2)
+        assert each.names(MAP) == ["m1", "m2"]
+        assert each.replica.status()["conflicts"] == 0
+
+
+@pytest.mark.parametrize("text", ["mapfile: nowhere.map\n", "Version:\n9\n", "nonsense\n", None])
+def test_a_file_that_cannot_be_read_is_told_and_nothing_else_stops(
+    make: Make, section: StoreSection, tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str | None
+) -> None:
+    store = make()
+    bad = tmp_path / "bad.ini"
+    if text is not None:
+        bad.write_text(text)
+    with caplog.at_level(logging.ERROR):
+        import_at_start(store, section.model_copy(update={"maps": bad}))
+    assert "store.maps" in caplog.text
+    assert "bad.ini" in caplog.text or "nowhere.map" in caplog.text
+    assert store.names(MAP) == []
+    assert store.names(LOCATION) == ["hall", "kitchen"]
