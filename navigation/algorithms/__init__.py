@@ -1,0 +1,1 @@
+"""Pure functions on arrays: no input, no output, nothing of a module's."""

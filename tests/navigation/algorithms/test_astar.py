@@ -1,0 +1,158 @@
+"""Ways on grids, against Dijkstra's algorithm written out."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from navigation.algorithms.astar import DIAGONAL, STRAIGHT, astar
+from navigation.algorithms.shortcut import sees, shortcut
+
+Grid = NDArray[np.uint8]
+
+
+def dijkstra(weights: Grid, start: tuple[int, int], goal: tuple[int, int]) -> float:
+    """The least cost, in the same whole numbers; infinite where there is no way."""
+    rows, columns = weights.shape
+
+    def free(row: int, column: int) -> bool:
+        return 0 <= row < rows and 0 <= column < columns and bool(weights[row, column])
+
+    costs = {start: 0.0}
+    waiting = [(0.0, start)]
+    while waiting:
+        cost, (row, column) = heapq.heappop(waiting)
+        if (row, column) == goal:
+            return cost / STRAIGHT
+        if cost > costs[row, column]:
+            continue
+        for down in (-1, 0, 1):
+            for right in (-1, 0, 1):
+                there = row + down, column + right
+                beside = free(row + down, column) and free(row, column + right)
+                if not (down or right) or not free(*there) or (down and right and not beside):
+                    continue
+                found = cost + int(weights[there]) * (DIAGONAL if down and right else STRAIGHT)
+                if found < costs.get(there, math.inf):
+                    costs[there] = found
+                    heapq.heappush(waiting, (found, there))
+    return math.inf
+
+
+@st.composite
+def grids(draw: st.DrawFn) -> Grid:
+    rows, columns = draw(st.integers(1, 25)), draw(st.integers(1, 25))
+    chance = draw(st.floats(0.0, 0.5))
+    heaviest = draw(st.sampled_from((1, 1, 3, 255)))
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    weights = random.integers(1, heaviest + 1, (rows, columns))
+    return np.where(random.random((rows, columns)) < chance, 0, weights).astype(np.uint8)
+
+
+@settings(max_examples=300, deadline=None)
+@given(weights=grids(), data=st.data())
+def test_ways_are_the_cheapest_and_cut_no_corner(weights: Grid, data: st.DataObject) -> None:
+    rows, columns = weights.shape
+    start, goal = (
+        (data.draw(st.integers(0, rows - 1)), data.draw(st.integers(0, columns - 1))) for _ in ("start", "goal")
+    )
+    way = astar(weights, start, goal)
+    least = dijkstra(weights, start, goal) if weights[goal] else math.inf
+    if way is None:
+        assert least == math.inf
+        return
+    assert way.cost == pytest.approx(least)
+    assert tuple(way.cells[0]) == start
+    assert tuple(way.cells[-1]) == goal
+    paid = 0
+    for (row, column), (to_row, to_column) in itertools.pairwise(way.cells):
+        assert weights[to_row, to_column]
+        assert max(abs(to_row - row), abs(to_column - column)) == 1
+        diagonal = to_row != row and to_column != column
+        assert not diagonal or (weights[row, to_column] and weights[to_row, column])
+        paid += int(weights[to_row, to_column]) * (DIAGONAL if diagonal else STRAIGHT)
+    assert paid / STRAIGHT == pytest.approx(way.cost)
+    check_waypoints(weights, way.cells)
+
+
+def check_waypoints(weights: Grid, cells: NDArray[np.int32]) -> None:
+    points = shortcut(weights, cells)
+    assert tuple(points[0]) == tuple(cells[0])
+    assert tuple(points[-1]) == tuple(cells[-1])
+    places = {tuple(cell): n for n, cell in enumerate(cells)}
+    order = [places[tuple(point)] for point in points]
+    assert order == sorted(order)
+    for one, other in itertools.pairwise(points):
+        assert touched_free(weights, one, other)
+
+
+def touched_free(weights: Grid, one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
+    """The same by sampling the line densely: every cell that it passes is free."""
+    count = 50 * int(np.abs(other - one).max()) + 1
+    points = one + (other - one) * np.linspace(0.0, 1.0, count)[:, None]
+    near = np.rint(points).astype(int)
+    inside = np.abs(points - near).max(axis=1) < 0.499  # not on the border between two cells
+    apart = (near != one).any(axis=1) & inside
+    return bool(weights[near[apart, 0], near[apart, 1]].all())
+
+
+def test_a_way_round_a_wall() -> None:
+    weights = np.ones((21, 21), np.uint8)
+    weights[5:, 10] = 0
+    way = astar(weights, (20, 0), (20, 20))
+    assert way is not None
+    points = shortcut(weights, way.cells)
+    assert len(points) <= 5
+    assert way.length == pytest.approx(way.cost, rel=1e-3)
+    assert not sees(weights, (20, 0), (20, 20))
+    assert sees(weights, (0, 0), (0, 20))
+
+
+def test_a_line_through_a_corner_is_not_free() -> None:
+    weights = np.array([[1, 0], [1, 1]], np.uint8)
+    assert not sees(weights, (0, 0), (1, 1))
+    assert astar(weights, (0, 0), (1, 1)).cells.tolist() == [[0, 0], [1, 0], [1, 1]]  # type: ignore[union-attr]
+
+
+def test_heavy_cells_are_gone_round_and_not_cut_across() -> None:
+    weights = np.ones((30, 30), np.uint8)
+    weights[3:, 10:20] = 200
+    way = astar(weights, (15, 0), (15, 29))
+    assert way is not None
+    assert weights[way.cells[:, 0], way.cells[:, 1]].max() == 1
+    points = shortcut(weights, way.cells)
+    assert points[:, 0].min() <= 2
+
+
+def test_where_one_stands_may_be_an_obstacle_and_where_one_goes_may_not() -> None:
+    weights = np.ones((5, 5), np.uint8)
+    weights[2, 2] = 0
+    assert astar(weights, (2, 2), (0, 0)) is not None
+    assert astar(weights, (0, 0), (2, 2)) is None
+    same = astar(weights, (1, 1), (1, 1))
+    assert same is not None
+    assert (same.cost, len(same.cells), len(shortcut(weights, same.cells))) == (0.0, 1, 1)
+
+
+def test_a_goal_that_cannot_be_reached() -> None:
+    weights = np.ones((5, 5), np.uint8)
+    weights[:, 2] = 0
+    assert astar(weights, (0, 0), (0, 4)) is None
+
+
+@pytest.mark.parametrize(("start", "goal"), [((-1, 0), (0, 0)), ((0, 0), (0, 5)), ((0, 0), (5, 0))])
+def test_outside(start: tuple[int, int], goal: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match=r"outside the grid of 5 x 5"):
+        astar(np.ones((5, 5), np.uint8), start, goal)
+
+
+def test_an_empty_grid() -> None:
+    with pytest.raises(ValueError, match="0 x 5"):
+        astar(np.ones((0, 5), np.uint8), (0, 0), (0, 0))
