@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -13,8 +14,14 @@ import numpy as np
 from bridge.messages.cache import compiled
 from navigation.algorithms.astar import Cells, Weights
 
-
+F = TypeVar("F", bound=Callable[..., Any])
 _njit: Any = numba.njit
+
+
+def _inner(function: F) -> F:
+    """For what other compiled functions call."""
+    made: F = _njit(function)
+    return made
 
 
 def shortcut(weights: Weights, cells: Cells) -> Cells:
@@ -73,13 +80,13 @@ def _choose(weights: Weights, cells: Cells, chosen: Any) -> int:
     return count
 
 
-@_njit
+@_inner
 def _fits(weights: Weights, cells: Cells, sums: Any, one: int, other: int) -> bool:
     line = _line_cost(weights, cells[one, 0], cells[one, 1], cells[other, 0], cells[other, 1])
     return bool(line <= (sums[other] - sums[one]) * (1.0 + 1e-9))
 
 
-@_njit
+@_inner
 def _line_cost(weights: Weights, row: int, column: int, to_row: int, to_column: int) -> float:
     """Length times mean weight of the cells that a line touches after its first; infinite where one is an obstacle.
 
@@ -115,7 +122,8 @@ def _compiled() -> tuple[Any, Any]:
     grid = numba.types.Array(numba.uint8, 2, "C")
     cells, places = numba.types.Array(numba.int32, 2, "C"), numba.types.Array(numba.int64, 1, "C")
     here = [Path(__file__)]
+    line_cost: Any = _line_cost
     return (
         compiled(_choose, numba.int64(grid, cells, places), here, nogil=True),
-        compiled(_line_cost.py_func, numba.float64(grid, *[numba.int64] * 4), here, nogil=True),
+        compiled(line_cost.py_func, numba.float64(grid, *[numba.int64] * 4), here, nogil=True),
     )
