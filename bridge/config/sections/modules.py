@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.base_control import BaseControlSection
+from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.section import Section
 from bridge.config.sections.transforms import TransformServerSection
@@ -51,6 +52,10 @@ class ModulesSection(Section):
     base_control: BaseControlSection = Field(
         default_factory=BaseControlSection,
         description="Drives a mobile base as its inputs command; see docs/base_control.md.",
+    )
+    map2d_server: Map2DServerSection = Field(
+        default_factory=Map2DServerSection,
+        description="The maps and places of the store for YARP, ROS 1 and ROS 2; see docs/maps.md.",
     )
     transform_server: TransformServerSection = Field(
         default_factory=TransformServerSection,

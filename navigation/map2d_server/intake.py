@@ -1,0 +1,137 @@
+"""What others publish and the store takes: maps of real map servers and mappers, and points clicked in rviz."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from bridge.config.sections.maps import TakenMap
+from bridge.hub.graph import HubEndpoint
+from bridge.modules.host import Host
+from bridge.modules.node import Subscription
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import LOCATION, MAP
+from bridge.stores.store import Store
+from navigation.map2d_server.messages import GRID, LATCHED, Message
+from navigation.maps.grid import from_grid
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+_log = logging.getLogger(__name__)
+
+_SETTLE = 0.3
+"""Seconds after which the graph knows who sent a map."""
+
+_MOST_POINTS = 10_000
+
+
+class Intake:
+    """Takes the maps of one topic.
+
+    What another Map2DServer publishes is none of them: that is in the store already.
+
+    Args:
+        host: of the module.
+        rule: what to take.
+        store: where to.
+        told: hears why a map was refused.
+    """
+
+    def __init__(self, host: Host, rule: TakenMap, store: Store, told: Callable[[str], None]) -> None:
+        self._host, self._rule, self._store, self._told = host, rule, store, told
+        self._waiting: tuple[bytes, Message] | None = None
+        self._due = False
+        self._next = 0.0
+        self.taken = 0
+        self._end: Subscription = host.node.subscription(rule.topic, GRID, self._heard, LATCHED)
+
+    @property
+    def topic(self) -> str:
+        """Where the maps come from."""
+        return self._rule.topic
+
+    def others(self) -> list[HubEndpoint]:
+        """Who publishes such maps, other than map servers of Midspan."""
+        return [each for each in self._host.node.hub.graph.publishers(self.topic) if not is_ours(each)]
+
+    def _heard(self, message: Message) -> None:
+        self._waiting = (self._end.sender, message)
+        if not self._due:
+            self._due = True
+            pause = max(_SETTLE, self._next - time.monotonic())
+            self._host.loop.after(pause, self._take)
+
+    def _take(self) -> None:
+        self._due = False
+        waiting, self._waiting = self._waiting, None
+        if waiting is None or self._is_ours(waiting[0]):
+            return
+        self._next = time.monotonic() + self._rule.period
+        try:
+            grid = from_grid(waiting[1], self._rule.name)
+            self._keep(grid)
+        except (StoreError, ValueError) as error:
+            self._told(f"{self.topic}: {error}")
+
+    def _keep(self, grid: MapGrid2D) -> None:
+        name, before = self._rule.name, self._store.get(MAP, self._rule.name)
+        if before is not None:
+            keep_flags(grid, before)
+        if before is None or grid != before:
+            self._store.put(MAP, name, grid)
+            self.taken += 1
+            _log.info("%s: taken into the store as map %r", self.topic, name)
+        if self._rule.use and self._store.current_map() != name:
+            self._store.use_map(name)
+
+    def _is_ours(self, gid: bytes) -> bool:
+        return any(each.gid == gid for each in self._host.node.hub.graph.publishers(self.topic) if is_ours(each))
+
+
+class ClickedPoints:
+    """Points of ``/clicked_point`` as locations of the current map."""
+
+    def __init__(
+        self, host: Host, prefix: str, frame: str, store: Store, current: Callable[[], str], told: Callable[[str], None]
+    ) -> None:
+        self._prefix, self._frame, self._store, self._current, self._told = prefix, frame, store, current, told
+        host.node.subscription("/clicked_point", "geometry_msgs/msg/PointStamped", self._heard)
+
+    def _heard(self, message: Message) -> None:
+        try:
+            self._keep(message)
+        except (StoreError, ValueError) as error:
+            self._told(f"/clicked_point: {error}")
+
+    def _keep(self, message: Message) -> None:
+        frame, point, current = str(message["header"]["frame_id"]).lstrip("/"), message["point"], self._current()
+        if frame != self._frame:
+            raise ValueError(
+                f"the point is in the frame {frame!r}; maps are in {self._frame!r}: set rviz's fixed frame"
+            )
+        if not current:
+            raise ValueError("no map is current, so the point is on none")
+        x, y = float(point["x"]), float(point["y"])
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise ValueError("the point is nowhere")
+        there = set(self._store.names(LOCATION))
+        name = next((f"{self._prefix}{n}" for n in range(1, _MOST_POINTS) if f"{self._prefix}{n}" not in there), None)
+        if name is None:
+            raise ValueError(f"there are {_MOST_POINTS - 1} points already")
+        self._store.put(LOCATION, name, Map2DLocation(current, x, y, 0.0, "clicked"))
+
+
+def is_ours(endpoint: HubEndpoint) -> bool:
+    """Whether a Map2DServer made an endpoint: this one or another daemon's."""
+    return endpoint.own or endpoint.node == "map2d_server"
+
+
+def keep_flags(grid: MapGrid2D, before: MapGrid2D) -> None:
+    """Keep what people have drawn on a map when its topic says it anew: keep-out cells, where the place is the same."""
+    where = (grid.flags.shape, grid.resolution, *grid.origin)
+    if where == (before.flags.shape, before.resolution, *before.origin):
+        drawn = before.flags == MapFlag.KEEP_OUT
+        grid.flags[drawn] = MapFlag.KEEP_OUT

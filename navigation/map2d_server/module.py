@@ -1,0 +1,137 @@
+"""Map2DServer: the maps and places of the store for every side.
+
+YARP's clients read and change them by IMap2D; ROS 1 and ROS 2 have the current map, the planners' masks and every map
+as latched topics, and the services of their own map servers. Whoever changes something, all the others hear of it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import Any
+
+from bridge.config.sections.maps import Map2DServerSection
+from bridge.config.sections.section import Section
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT, PATH
+from bridge.stores.store import Change
+from bridge.worker import Health
+from navigation.map2d_server.answers import MapAnswers
+from navigation.map2d_server.commands import MapCommands
+from navigation.map2d_server.files import MapFiles
+from navigation.map2d_server.folder import MapsFolder
+from navigation.map2d_server.intake import ClickedPoints, Intake, is_ours
+from navigation.map2d_server.messages import Head
+from navigation.map2d_server.outlets import MAP_TOPIC, AllMaps, CurrentMap, Keys, Markers, Masks
+from navigation.map2d_server.services import MapServices
+
+_log = logging.getLogger(__name__)
+
+_SHOWN = (MAP, CURRENT, LOCATION, OBJECT, AREA, PATH, BEHAVIOUR)
+
+
+class Map2DServer(Module):
+    """Serves the store's maps."""
+
+    name = "map2d_server"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Publish everything, and serve."""
+        assert isinstance(section, Map2DServerSection)
+        self._host, self._store = host, host.store
+        self._changed: set[tuple[str, str]] = set()
+        self._lock = threading.Lock()
+        self._refused, self._last_refused = 0, ""
+        kept = host.config.store
+        files = MapFiles(MapsFolder(section.folder or host.folder / "maps"), self._store, kept.maps, kept.locations)
+        node, head = host.node, Head(section.frame, host.clock.now_ns)
+        self._current = CurrentMap(node, self._store, head, section.current)
+        self._maps = AllMaps(node, self._store, head)
+        self._masks = Masks(node, self._store, head)
+        self._markers = Markers(node, self._store, head)
+        self._intakes = [Intake(host, rule, self._store, self._told) for rule in section.take]
+        self._others: list[str] = []
+        self._closing = [self._store.watch(self._heard, *_SHOWN), node.hub.graph.watch(self._graph_changed)]
+        self._graph_due = False
+        self._look()
+        self._refresh({(MAP.name, name) for name in self._store.names(MAP)} | {(CURRENT.name, "map")})
+        MapServices(node, self._store, files, self._current, self._maps, self._told)
+        if section.clicked_point:
+            ClickedPoints(
+                host, section.clicked_point, section.frame, self._store, lambda: self._current.name, self._told
+            )
+        answers = MapAnswers(self._store, files, self._told)
+        for port in section.ports:
+            host.yarp.serve(port, answers)
+        if section.command_port:
+            host.yarp.respond(section.command_port, MapCommands(self._store, self._current).answer)
+
+    def health(self) -> Health:
+        """Which map is current, and how many there are."""
+        words = f"map {self._current.name}" if self._current.name else "no map is current"
+        if self._others:
+            words += f"; {MAP_TOPIC} is published by {', '.join(self._others)}, so not from here"
+        return Health("running", words)
+
+    def status(self) -> dict[str, Any]:
+        """What it serves, and what it refused."""
+        return {
+            "current": self._current.name,
+            "maps": self._maps.topics,
+            "taken": {intake.topic: intake.taken for intake in self._intakes},
+            "refusals": self._refused,
+            "last_refusal": self._last_refused,
+        }
+
+    def stop(self) -> None:
+        """Hear no more of the store."""
+        for close in self._closing:
+            close()
+
+    def _heard(self, change: Change) -> None:
+        """Something changed, here or elsewhere; on the store's thread."""
+        with self._lock:
+            first = not self._changed
+            self._changed.add((change.kind, change.name))
+        if first:
+            self._host.loop.post(self._settle)
+
+    def _settle(self) -> None:
+        """Publish what changed; many changes at once are published once."""
+        with self._lock:
+            changed, self._changed = self._changed, set()
+        self._refresh(changed)
+
+    def _refresh(self, changed: Keys) -> None:
+        for show in (self._show_current, self._maps.update):
+            try:
+                show(changed)
+            except (StoreError, ValueError) as error:
+                self._told(str(error))
+
+    def _show_current(self, changed: Keys) -> None:
+        anew = self._current.update(changed)
+        self._masks.update(self._current, changed, anew=anew)
+        self._markers.update(self._current, changed, anew=anew)
+
+    def _graph_changed(self) -> None:
+        """On a thread of zenoh."""
+        if not self._graph_due:
+            self._graph_due = True
+            self._host.loop.post(self._look)
+
+    def _look(self) -> None:
+        """Somebody else's map goes before ours, as of whoever has a robot's map now."""
+        self._graph_due = False
+        others = [each for each in self._host.node.hub.graph.publishers(MAP_TOPIC) if not is_ours(each)]
+        self._others = sorted({f"{each.namespace.rstrip('/')}/{each.node}" for each in others})
+        self._current.hush(bool(others))
+
+    def _told(self, why: str) -> None:
+        """A call, a file or a message was refused."""
+        with self._lock:
+            self._refused, again = self._refused + 1, why == self._last_refused
+            self._last_refused = why
+        _log.log(logging.DEBUG if again else logging.WARNING, "refused: %s", why)

@@ -1,0 +1,333 @@
+"""The module on a hub of its own: YARP clients, hub participants in the place of ROS's, and the store."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP
+from bridge.stores.store import Store
+from navigation.map2d_server.outlets import topic_of
+from navigation.maps.grid import from_grid
+from navigation.maps.keepout import flags_from
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
+from yarp_compat.dev.map2d_client import Map2DClient
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.returnvalue import CallFailed
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client
+from yarp_compat.sig.vec2d import Vec2D
+
+GRID, INFO, MARKERS = "nav_msgs/OccupancyGrid", "nav2_msgs/CostmapFilterInfo", "visualization_msgs/MarkerArray"
+MINE = {"enabled": True, "take": [{"topic": "/map", "name": "taken", "period": 0.0}], "clicked_point": "point"}
+
+
+class Served(Place):
+    """A running map server, and a YARP client of it."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.yarp = NameServer(port=self.port, gc_seconds=0)
+        self.yarp.open()
+        self.worker.start(self.config(modules={"map2d_server": MINE}))
+        until(lambda: self.names.query("/mapServer/rpc"), "the ports are registered", 30)
+        until(lambda: self.names.query("/map2D_server/command"), "all ports are registered", 30)
+
+    @property
+    def store(self) -> Store:
+        """The store of the module's process, which is this one."""
+        store: Store = self.worker._running["map2d_server"]._host.store
+        return store
+
+    def fresh(self) -> None:
+        """Empty the store."""
+        for kind in KINDS.values():
+            self.store.clear(kind)
+        until(lambda: not (self.status("map2d_server") or {"current": "?"})["current"], "no map is current", 20)
+
+    def client(self, port: str = "/map2D_nws_yarp/rpc") -> Map2DClient:
+        return Map2DClient(port, naming=self.names, timeout=20)
+
+    def latest(self, topic: str, type_: str) -> Any:
+        """Hears a latched topic; calling it gives the newest message."""
+        heard = self.far.subscribe(topic, type_, latched=True, depth=1)
+
+        def newest() -> dict[str, Any] | None:
+            return next(reversed(self.far.wait(heard, 0, 0)), None)
+
+        return newest
+
+    def close(self) -> None:
+        super().close()
+        self.yarp.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with Served(tmp_path_factory.mktemp("served")) as made:
+        yield made
+
+
+@pytest.fixture
+def served(running: Served) -> Served:
+    running.fresh()
+    return running
+
+
+def six_flags(name: str = "office", seed: int = 1) -> MapGrid2D:
+    flags = np.random.default_rng(seed).integers(0, 6, (12, 17), np.uint8)
+    return MapGrid2D.of(flags, name=name, resolution=0.5, origin=(-1.0, -2.0, 0.0))
+
+
+def test_a_map_of_a_yarp_client_is_everywhere_with_all_six_flags(served: Served) -> None:
+    grid = six_flags()
+    current, mask = served.latest("/map", GRID), served.latest("/keepout_filter_mask", GRID)
+    info, all_maps = served.latest("/keepout_costmap_filter_info", INFO), served.latest("/maps/office", GRID)
+    with served.client() as client, Client("/map2D_server/command", naming=served.names) as words:
+        client.maps["office"] = grid
+        until(all_maps, "the map has its own topic", 20)
+        assert current() is None
+        assert words.ask(["use", "office"], timeout=10) == ["ok"]
+        until(lambda: current() and mask() and info(), "the map and its mask are out", 20)
+        assert words.ask(["current"], timeout=10) == ["office"]
+        with served.client("/mapServer/rpc") as older:
+            assert older.maps["office"] == grid
+    made = from_grid(current(), "office")
+    values = np.asarray(mask()["data"], np.int8).reshape(12, 17)[::-1]
+    assert np.array_equal(flags_from(made.occupancy, values), grid.flags)
+    assert {**info(), "header": None} == {"header": None, "type": 0, "filter_mask_topic": "/keepout_filter_mask",
+                                          "base": 0.0, "multiplier": 1.0}  # fmt: skip
+    assert all_maps()["data"] == current()["data"]
+
+
+def test_each_change_is_heard(served: Served) -> None:
+    served.store.put(MAP, "one", six_flags("one"))
+    served.store.use_map("one")
+    current, other = served.latest("/map", GRID), served.latest("/maps/one", GRID)
+    until(lambda: current() and other(), "the map is out", 20)
+    changed = six_flags("one", seed=2)
+    with served.client() as client:
+        client.maps["one"] = changed
+        until(lambda: np.array_equal(from_grid(current(), "").occupancy, changed.occupancy), "the change is heard", 20)
+        served.far.until_published("/maps/one")
+        del client.maps["one"]
+        served.far.until_unpublished("/maps/one")
+        served.far.until_unpublished("/map")
+
+
+def test_map_services(served: Served) -> None:
+    served.store.put(MAP, "one", six_flags("one"))
+    served.store.put(MAP, "two", six_flags("two", seed=2))
+    far = served.far
+    load = "nav2_msgs/LoadMap"
+    refused = far.call("/static_map", "nav_msgs/GetMap").result(20)
+    assert "no map is current" in refused["error"]
+    assert far.call("/map_server/map", "nav_msgs/GetMap").result(20)["reply"]["map"]["data"] == []
+    loaded = far.call("/map_server/load_map", load, map_url="two").result(20)["reply"]
+    assert loaded["result"] == 0
+    until(lambda: served.store.current_map() == "two", "it is current", 20)
+    got = until(
+        lambda: far.call("/static_map", "nav_msgs/GetMap").result(20)["reply"],
+        "the map is there for all",
+        20,
+        every=0.1,
+    )
+    assert got["map"]["data"] == loaded["map"]["data"]
+    save = {"map_topic": "/maps/one", "map_url": "saved", "image_format": "png", "map_mode": "trinary"}
+    assert far.call("/map_saver/save_map", "nav2_msgs/SaveMap", **save).result(20)["reply"] == {"result": True}
+    assert {f.name for f in (served.folder / "here/map2d_server/maps").iterdir()} >= {"saved.yaml", "saved.png"}
+    assert far.call("/change_map", "nav_msgs/LoadMap", map_url="saved.yaml").result(20)["reply"]["result"] == 0
+    assert served.store.current_map() == "saved"
+    for url, result in (("nowhere.yaml", 1), ("../saved.yaml", 2), ("/etc/passwd", 2), ("file:///etc/passwd", 2)):
+        assert far.call("/map_server/load_map", load, map_url=url).result(20)["reply"]["result"] == result, url
+        assert far.call("/map_saver/save_map", "nav2_msgs/SaveMap", **save | {"map_url": url.replace("nowhere", "../x")}
+                        ).result(20)["reply"] == {"result": False}  # fmt: skip
+    assert far.call("/map_saver/save_map", "nav2_msgs/SaveMap", **save | {"map_topic": "/camera"}).result(20)[
+        "reply"
+    ] == {"result": False}
+    status = served.status("map2d_server")
+    assert status is not None
+    assert status["refusals"] >= 9
+    assert "/camera is none of the store's maps" in status["last_refusal"]
+
+
+def test_files_of_a_yarp_client(served: Served) -> None:
+    folder = served.folder / "here/map2d_server/maps"
+    with served.client() as client:
+        client.maps["office"] = grid = six_flags()
+        client.locations["kitchen"] = kitchen = Map2DLocation("office", 1, 2, 90, "by the door")
+        client.areas["hall"] = Map2DArea("office", [Vec2D(0, 0), Vec2D(1, 0), Vec2D(1, 1)], "")
+        served.store.put(BEHAVIOUR, "hall", AreaBehaviour(max_speed=0.5))
+        client.maps.save("office", "office.map")
+        client.maps.save_collection("all.ini")
+        client.save_places("places.ini")
+        client.maps.clear()
+        client.locations.clear()
+        client.areas.clear()
+        client.maps.load("office.map")
+        assert client.maps["office"] == grid
+        client.maps.clear()
+        client.maps.load_collection("all.ini")
+        client.load_places("places.ini")
+        assert client.maps["office"] == grid
+        assert dict(client.locations) == {"kitchen": kitchen}
+        assert served.store.behaviour("hall") == AreaBehaviour(max_speed=0.5)
+        before = sorted(served.folder.rglob("*"))
+        for name in ("../x.map", "/tmp/x.map", "a/b.map", "..", "", ".map", "C:\\x.map"):
+            for call in (lambda n: client.maps.save("office", n), client.maps.load):
+                with pytest.raises(CallFailed):
+                    call(name)
+        for name in ("../x.ini", "/etc/passwd", "sub/x.ini"):
+            for call in (client.maps.save_collection, client.maps.load_collection, client.save_places,
+                         client.load_places):  # fmt: skip
+                with pytest.raises(CallFailed):
+                    call(name)
+        with pytest.raises(CallFailed):
+            client.maps.reload()
+        (folder / "evil.map").write_text("MapName x\nYarpMapData /etc/passwd\n")
+        with pytest.raises(CallFailed):
+            client.maps.load("evil.map")
+        (folder / "evil.map").unlink()
+        assert [path for path in sorted(served.folder.rglob("*")) if "sqlite" not in path.name] == [
+            path for path in before if "sqlite" not in path.name
+        ]
+
+
+def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> None:
+    theirs = six_flags("taken")
+    theirs.flags[theirs.flags == MapFlag.KEEP_OUT] = MapFlag.FREE
+    served.store.put(MAP, "other", six_flags("other"))
+    served.store.use_map("other")
+    served.far.until_published("/map")
+    mine = {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)}
+    out = served.far.advertise("/map", GRID, latched=True, depth=1)
+    try:
+        served.far.publish(out, mine)
+        until(lambda: served.store.get(MAP, "taken"), "it is in the store", 20)
+        until(lambda: served.store.current_map() == "taken", "it is current", 20)
+        served.far.until_unpublished("/map")
+        found = served.store.get(MAP, "taken")
+        assert found is not None
+        assert np.array_equal(found.occupancy, theirs.occupancy)
+        until(lambda: "published by /far" in str((served.status("map2d_server") or {}).get("text")), "it tells", 20)
+        # what people drew stays when the mapper goes on
+        found.flags[0, 0] = MapFlag.KEEP_OUT
+        served.store.put(MAP, "taken", found)
+        theirs.occupancy[5, 5] = 100 - theirs.occupancy[5, 5] % 101
+        served.far.publish(out, mine | {"data": data(theirs)})
+
+        def gone_on() -> bool:
+            now = served.store.get(MAP, "taken")
+            return now is not None and bool(now.occupancy[5, 5] == theirs.occupancy[5, 5])
+
+        until(gone_on, "the next one is taken", 20)
+        now = served.store.get(MAP, "taken")
+        assert now is not None
+        assert now.flags[0, 0] == MapFlag.KEEP_OUT
+    finally:
+        served.far.drop(out)
+    served.far.until_published("/map")
+
+
+def message_info(grid: MapGrid2D) -> dict[str, Any]:
+    x, y, _ = grid.getOrigin()
+    return {"resolution": grid.resolution, "width": grid.width(), "height": grid.height(),
+            "origin": {"position": {"x": x, "y": y}, "orientation": {"w": 1.0}}}  # fmt: skip
+
+
+def data(grid: MapGrid2D) -> list[int]:
+    return [int(value) if value <= 100 else -1 for value in grid.occupancy[::-1].reshape(-1)]
+
+
+def test_areas_and_places(served: Served) -> None:
+    free = MapGrid2D.of(np.zeros((10, 10), np.uint8), name="hall", resolution=1.0)
+    served.store.put(MAP, "hall", free)
+    served.store.use_map("hall")
+    corners = [Vec2D(0.1, 0.1), Vec2D(2.9, 0.1), Vec2D(2.9, 2.9), Vec2D(0.1, 2.9)]
+    mask, speed = served.latest("/keepout_filter_mask", GRID), served.latest("/speed_filter_mask", GRID)
+    info, shown = served.latest("/speed_costmap_filter_info", INFO), served.latest("/map_locations", MARKERS)
+    until(lambda: mask() and speed() and info() and shown(), "all is out", 20)
+    assert not any(mask()["data"])
+    assert not any(speed()["data"])
+    with served.client() as client:
+        client.areas["slow"] = Map2DArea("hall", corners, "max_speed=0.2 on_obstacle=wait")
+        client.areas["shut"] = Map2DArea("hall", [Vec2D(c.x + 5, c.y) for c in corners], "")
+        client.locations["kitchen"] = Map2DLocation("hall", 1, 2, 90, "")
+        client.locations["far away"] = Map2DLocation("other map", 1, 2, 90, "")
+        client.objects["cup"] = Map2DObject("hall", 1, 2, 3)
+        client.paths["way"] = Map2DPath([Map2DLocation("hall", 1, 1), Map2DLocation("hall", 2, 2)])
+    served.store.put(BEHAVIOUR, "shut", AreaBehaviour(keep_out=True))
+    until(lambda: sum(value > 0 for value in speed()["data"]) == 9, "the slow area is in the mask", 20)
+    until(lambda: sum(value == 100 for value in mask()["data"]) == 9, "the closed one is in the other", 20)
+    limit = info()["base"] + info()["multiplier"] * max(speed()["data"])
+    assert (info()["type"], info()["filter_mask_topic"]) == (2, "/speed_filter_mask")
+    assert limit == pytest.approx(0.2)
+    names = {"location kitchen", "object cup", "area slow", "area shut", "path way"}
+    until(lambda: {m["ns"] for m in shown()["markers"]} >= names, "the places are shown", 20)
+    assert not any("far away" in marker["ns"] for marker in shown()["markers"])
+    assert shown()["markers"][0]["action"] == 3
+    served.store.delete(AREA, "slow")
+    until(lambda: not any(speed()["data"]), "it is gone", 20)
+
+
+def test_a_turned_map_goes_out_straight(served: Served) -> None:
+    turned = MapGrid2D.of(np.full((4, 8), MapFlag.WALL, np.uint8), name="t", resolution=0.5, origin=(0, 0, 90))
+    served.store.put(MAP, "t", turned)
+    served.store.use_map("t")
+    current = served.latest("/map", GRID)
+    until(current, "it is out", 20)
+    info = current()["info"]
+    assert info["origin"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    assert (info["width"], info["height"]) == (4, 8)
+    assert set(current()["data"]) == {100}
+
+
+def test_clicked_points(served: Served) -> None:
+    served.store.put(MAP, "hall", six_flags("hall"))
+    served.store.use_map("hall")
+    until(lambda: (served.status("map2d_server") or {}).get("current") == "hall", "it is current", 20)
+    out = served.far.advertise("/clicked_point", "geometry_msgs/PointStamped")
+
+    def click() -> dict[str, Map2DLocation]:
+        served.far.publish(out, {"header": {"frame_id": "map"}, "point": {"x": 1.5, "y": -2.0, "z": 0.0}})
+        return served.store.all(LOCATION)
+
+    places = until(click, "a point is a location", 20, every=0.1)
+    assert places["point1"] == Map2DLocation("hall", 1.5, -2.0, 0.0, "clicked")
+    served.far.publish(out, {"header": {"frame_id": "odom"}, "point": {"x": 1.5, "y": -2.0, "z": 0.0}})
+    until(lambda: "'odom'" in str((served.status("map2d_server") or {}).get("last_refusal")), "it is refused", 20)
+    served.far.drop(out)
+
+
+def test_several_clients_at_once(served: Served) -> None:
+    """Of 4 clients' 40 locations each, all are kept."""
+    failed: list[str] = []
+
+    def write(number: int) -> None:
+        with served.client() as client:
+            failed.extend(f"{number}_{i}" for i in range(40)
+                          if not client.storeLocation(f"{number}_{i}", Map2DLocation("m", i)))  # fmt: skip
+
+    threads = [threading.Thread(target=write, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failed
+    assert len(served.store.names(LOCATION)) == 160
+
+
+def test_topics_of_maps() -> None:
+    assert topic_of("office") == "/maps/office"
+    assert topic_of("1st floor") == "/maps/n1st_floor"
+    first = topic_of("a b")
+    assert topic_of("a-b", {first}).startswith("/maps/a_b_")
+    assert topic_of("\u00e4") == "/maps/_"
