@@ -6,7 +6,7 @@ descriptions, 4 objects; 4 is written. Numbers come back exactly, of which YARP 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -89,19 +89,21 @@ class Places:
         """The text of a file, of version 4, sorted by names."""
         lines = ["Version:", "4", "Locations:"]
         for name, place in sorted(self.locations.items()):
-            lines.append(_line(name, place.map_id, place.x, place.y, place.theta, place.description))
+            lines.append(_line(name, place.map_id, [place.x, place.y, place.theta], place.description))
         lines.append("Objects:")
         for name, thing in sorted(self.objects.items()):
-            pose = thing.x, thing.y, thing.z, thing.roll, thing.pitch, thing.yaw
-            lines.append(_line(name, thing.map_id, *pose, thing.description))
+            pose = [thing.x, thing.y, thing.z, thing.roll, thing.pitch, thing.yaw]
+            lines.append(_line(name, thing.map_id, pose, thing.description))
         lines.append("Areas:")
         for name, area in sorted(self.areas.items()):
             corners = [number for point in area.points for number in (point.x, point.y)]
-            lines.append(_line(name, area.map_id, len(area.points), *corners, area.description))
+            lines.append(_line(name, area.map_id, corners, area.description, count=len(area.points)))
         lines.append("Paths:")
         for name, path in sorted(self.paths.items()):
-            poses = [f"({_line(pose.map_id, pose.x, pose.y, pose.theta)})" for pose in path.waypoints]
-            lines.append(" ".join([_word(name), *poses, _quoted(path.description)]))
+            poses = [
+                f"({_pose_text(value_text(pose.map_id), [pose.x, pose.y, pose.theta])})" for pose in path.waypoints
+            ]
+            lines.append(" ".join([value_text(name), *poses, _quoted(path.description)]))
         return "\n".join(lines) + "\n"
 
 
@@ -189,15 +191,14 @@ def _text(value: Any) -> str:
     return value_text(value)
 
 
-def _line(*values: str | float) -> str:
-    """Values as they stand in a line, the last one in quotes if it is a text: the description."""
-    *first, last = values
-    words = [_word(value) for value in first]
-    return " ".join([*words, _quoted(last) if isinstance(last, str) else _word(last)])
+def _line(name: str, map_name: str, numbers: Sequence[float], description: str, count: int | None = None) -> str:
+    """A line, with a count before the numbers where they may be any number."""
+    head = value_text(map_name) if count is None else f"{value_text(map_name)} {count}"
+    return f"{value_text(name)} {_pose_text(head, numbers)} {_quoted(description)}"
 
 
-def _word(value: str | float) -> str:
-    return decimal(value) if isinstance(value, float) else value_text(value)
+def _pose_text(head: str, numbers: Sequence[float]) -> str:
+    return " ".join([head, *(decimal(float(number)) for number in numbers)])
 
 
 def _quoted(text: str) -> str:

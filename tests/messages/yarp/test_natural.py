@@ -23,6 +23,7 @@ from bridge.messages.yarp.contents import Content
 from bridge.messages.yarp.natural.codec import KINDS
 from bridge.messages.yarp.natural.kind import Missing
 from tests.messages.samples import sample
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig import image, pointcloud
 from yarp_compat.wire import binary
 from yarp_compat.wire.profile import Profile
@@ -251,6 +252,19 @@ def test_maps_of_a_real_yarp() -> None:
     again = values(out(GRID, plain))
     assert again[-2:] == [bytes([100, 0, 0, 0, 0, 0, 0, 0, 0, 255]), bytes([4, 0, 0, 0, 0, 0, 0, 0, 0, 5])]
     assert out(GRID, back(GRID, out(GRID, plain))) == out(GRID, plain)
+
+
+def test_a_turned_map_has_its_cells_in_the_same_places() -> None:
+    grid = MapGrid2D.of(np.zeros((4, 6), np.uint8), name="m", resolution=0.5, origin=(-1.0, 2.0, 30.0))
+    info = back(GRID, grid.to_bytes(Profile.YARP4))["info"]
+    turn, place = info["origin"]["orientation"], info["origin"]["position"]
+    yaw = 2 * math.atan2(turn["z"], turn["w"])
+    # ROS: the middle of the cell in column 2 of the second row from below
+    x, y = 2.5 * 0.5, 1.5 * 0.5
+    ros = place["x"] + x * math.cos(yaw) - y * math.sin(yaw), place["y"] + x * math.sin(yaw) + y * math.cos(yaw)
+    assert ros == pytest.approx(tuple(grid.centers_of((2, 2))))
+    again = MapGrid2D.from_bytes(out(GRID, back(GRID, grid.to_bytes(Profile.YARP4))), Profile.YARP4)
+    assert again.getOrigin() == pytest.approx(grid.getOrigin())
 
 
 def test_a_map_that_unzips_without_end_is_refused() -> None:

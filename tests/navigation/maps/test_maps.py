@@ -1,0 +1,227 @@
+"""Maps as planners take them: grids, masks, polygons, turned maps."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from navigation.maps.grid import data_of, from_grid, message_of, to_grid
+from navigation.maps.keepout import ENLARGED_OBSTACLE, KEEP_OUT, TEMPORARY_OBSTACLE, flags_from, keepout_mask
+from navigation.maps.polygon import cells_of
+from navigation.maps.speed import speed_mask
+from navigation.maps.turned import turned
+from tests.yarp_compat.dev.maps import maps
+from yarp_compat.dev.locations import Map2DArea
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+
+@given(grid=maps())
+@settings(max_examples=60, deadline=None)
+def test_yarp_to_ros_to_mask_and_back_is_the_same_cell_by_cell(grid: MapGrid2D) -> None:
+    mask = from_rows(data_of(keepout_mask(grid)), grid)
+    again = from_grid(to_grid(grid), grid.name)
+    assert (flags_from(again.occupancy, mask) == grid.flags).all()
+    assert (again.occupancy == grid.occupancy).all()
+    assert (again.name, again.resolution) == (grid.name, grid.resolution)
+    assert again.getOrigin() == pytest.approx(grid.getOrigin(), abs=1e-7)
+    with tempfile.TemporaryDirectory() as folder:  # and by the files of ROS between
+        grid.save(Path(folder, "m.yaml"))
+        stored = MapGrid2D.load(Path(folder, "m.yaml"))
+    assert (flags_from(from_grid(to_grid(stored), "m").occupancy, mask) == grid.flags).all()
+
+
+def from_rows(data: np.ndarray, grid: MapGrid2D) -> np.ndarray:
+    return data.reshape(grid.height(), grid.width())[::-1]
+
+
+def test_a_grid() -> None:
+    flags = np.array([[0, 1, 2], [3, 4, 5]], np.uint8)
+    grid = MapGrid2D.of(flags, [[0, 7, 255], [101, 60, 255]], name="m", resolution=0.5, origin=(-1, 2, 0))
+    message = to_grid(grid, "map", 5_000_000_007)
+    assert message["data"].dtype == np.int8
+    assert message["data"].tolist() == [-1, 60, -1, 0, 7, -1]
+    assert message["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "map"}
+    info = message["info"]
+    assert (info["width"], info["height"], info["resolution"]) == (3, 2, 0.5)
+    assert info["origin"]["position"] == {"x": -1.0, "y": 2.0, "z": 0.0}
+    assert info["origin"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    assert data_of(keepout_mask(grid)).tolist() == [ENLARGED_OBSTACLE, 0, 0, 0, KEEP_OUT, TEMPORARY_OBSTACLE]
+    assert message_of(data_of(keepout_mask(grid)), grid)["info"]["width"] == 3
+    assert 0 < ENLARGED_OBSTACLE < TEMPORARY_OBSTACLE < 99
+    assert KEEP_OUT == 100
+
+
+def test_painted_walls_and_unknown_cells_reach_planners() -> None:
+    grid = MapGrid2D.of([[4, 4, 4, 5, 0, 0]], [[0, 255, 70, 0, 100, 101]])
+    assert to_grid(grid)["data"].tolist() == [100, 100, 70, -1, 100, -1]
+
+
+def test_the_cells_of_a_turned_map_stay_in_their_places() -> None:
+    grid = MapGrid2D.of(np.zeros((3, 5), np.uint8), name="m", resolution=0.5, origin=(1, -2, 40))
+    message = to_grid(grid)["info"]
+    turn, place = message["origin"]["orientation"], message["origin"]["position"]
+    yaw = 2 * math.atan2(turn["z"], turn["w"])
+    x, y = 4.5 * 0.5, 0.5 * 0.5
+    ros = place["x"] + x * math.cos(yaw) - y * math.sin(yaw), place["y"] + x * math.sin(yaw) + y * math.cos(yaw)
+    assert tuple(grid.centers_of((4, 2))) == pytest.approx(ros)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"width": 31623, "height": 31623}, "cells: up to"),
+        ({"width": 3}, "3 x 2 cells does not have 4"),
+        ({"width": 0, "height": 0}, "0 x 0 cells does not have"),
+        ({"resolution": 0.0}, "metres wide"),
+        ({"resolution": math.nan}, "metres wide"),
+    ],
+)
+def test_grids_that_are_refused(changes: dict[str, float], reason: str) -> None:
+    message = to_grid(MapGrid2D())
+    message["info"] |= changes
+    with pytest.raises(ValueError, match=reason):
+        from_grid(message, "m")
+
+
+def square(low: float, high: float, name: str = "m") -> Map2DArea:
+    return Map2DArea(name, [Vec2D(low, low), Vec2D(high, low), Vec2D(high, high), Vec2D(low, high)])
+
+
+def empty(width: int = 10, height: int = 8, theta: float = 0.0) -> MapGrid2D:
+    return MapGrid2D.of(np.zeros((height, width), np.uint8), name="m", resolution=0.5, origin=(-1, -1, theta))
+
+
+def test_areas_to_be_kept_out_of_are_in_the_mask() -> None:
+    grid = empty()
+    mask = keepout_mask(grid, [square(0.1, 0.9), square(2, 3, "other")])
+    assert np.argwhere(mask).tolist() == [[4, 2], [4, 3], [5, 2], [5, 3]]
+    assert set(mask[mask > 0]) == {KEEP_OUT}
+    assert not grid.flags.any()
+    # one thinner than a cell leaves no gap
+    line = Map2DArea("m", [Vec2D(-0.9, -0.9), Vec2D(2.9, 1.9), Vec2D(2.9, 1.901)])
+    marked = keepout_mask(grid, [line]) > 0
+    assert (marked.sum(axis=0)[:8] > 0).all()
+    assert all((marked[:, column] & marked[:, column + 1]).any() for column in range(7))
+
+
+@given(
+    corners=st.lists(st.tuples(st.floats(-4, 6), st.floats(-4, 6)), min_size=3, max_size=6),
+    theta=st.sampled_from([0.0, 30.0, -135.0]),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_cells_of_a_polygon(corners: list[tuple[float, float]], theta: float) -> None:
+    grid = empty(theta=theta)
+    area = Map2DArea("m", [Vec2D(x, y) for x, y in corners])
+    part, inside = cells_of(grid, area.points)
+    marked = np.zeros((grid.height(), grid.width()), bool)
+    marked[part] = inside
+    columns, rows = np.meshgrid(np.arange(grid.width()), np.arange(grid.height()))
+    middles = grid.centers_of(np.stack((columns, rows), -1))
+    for (row, column), found in np.ndenumerate(marked):
+        x, y = middles[row, column]
+        if area.contains(x + 1e-9, y + 1e-9) and area.contains(x - 1e-9, y - 1e-9):
+            assert found
+        elif found:  # else its border is near
+            assert nearest(x, y, corners) <= 0.5 * math.sqrt(0.5) + 1e-6
+
+
+def nearest(x: float, y: float, corners: list[tuple[float, float]]) -> float:
+    """How far a place is from a polygon's border."""
+    here, best = np.array((x, y)), math.inf
+    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+        way = np.subtract(end, start)
+        length = float(way @ way)
+        part = np.clip(float((here - start) @ way) / length, 0, 1) if length else 0.0
+        best = min(best, float(np.linalg.norm(here - (start + part * way))))
+    return best
+
+
+def test_polygons_far_too_large_or_none() -> None:
+    grid = empty()
+    assert keepout_mask(grid, [square(-1e12, 1e12)]).all()
+    for points in (
+        [],
+        [Vec2D(0, 0), Vec2D(1, 1)],
+        [Vec2D(math.nan, 0), Vec2D(1, 0), Vec2D(1, 1)],
+        square(50, 60).points,
+    ):
+        assert not cells_of(grid, points)[1].any()
+
+
+def test_a_speed_mask() -> None:
+    grid = empty()
+    one = speed_mask(grid, [(square(0.1, 0.9), 0.2), (square(0, 1, "other"), 0.01)])
+    assert (one.base, one.multiplier, one.type) == (0.0, 0.002, 2)
+    assert set(one.values.flat) == {0, 100}
+    assert one.values[4, 2] == 100
+    limits = [(square(-0.9, 2.9), 1.5), (square(0.1, 0.9), 0.2), (square(1.6, 2.4), 0.7)]
+    many = speed_mask(grid, limits)
+    meant = many.base + many.multiplier * many.values[[7, 5, 2], [0, 2, 6]].astype(float)
+    assert meant == pytest.approx([1.5, 0.2, 0.7], abs=1.3 / 99)
+    assert (meant <= np.array([1.5, 0.2, 0.7]) + 1e-9).all()
+    assert meant[:2] == pytest.approx([1.5, 0.2])
+    assert many.values.max() == 100
+    assert not speed_mask(grid, []).values.any()
+    for wrong in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match="above 0"):
+            speed_mask(grid, [(square(0, 1), wrong)])
+
+
+@given(limits=st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=6))
+@settings(max_examples=60, deadline=None)
+def test_a_limit_is_never_passed_and_never_none(limits: list[float]) -> None:
+    for limit in limits:
+        mask = speed_mask(empty(2, 2), [(square(-9, 9), limit), *((square(90, 99), other) for other in limits)])
+        value = int(mask.values[0, 0])
+        assert 1 <= value <= 100
+        assert mask.base + mask.multiplier * value <= limit * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("theta", [15.0, 30.0, 45.0, 90.0, -77.0, 180.0])
+def test_a_turned_map_made_straight_keeps_its_walls_closed(theta: float) -> None:
+    flags = np.zeros((40, 50), np.uint8)
+    flags[5:35, [5, 44]] = flags[[5, 34], 5:45] = MapFlag.WALL
+    flags[10, 10] = MapFlag.KEEP_OUT
+    grid = MapGrid2D.of(flags, name="m", resolution=0.1, origin=(1, -2, theta))
+    straight = turned(grid)
+    assert (straight.name, straight.resolution, straight.origin.theta) == ("m", 0.1, 0.0)
+    spot = straight.cells_at(grid.centers_of((10, 10)))
+    assert straight.flags[spot[1], spot[0]] == MapFlag.KEEP_OUT
+    # from inside, no way of steps to the sides and to the corners leads out
+    free, seen = straight.flags < MapFlag.WALL, np.zeros(straight.flags.shape, bool)
+    column, row = straight.cells_at(grid.centers_of((25, 20)))
+    seen[row, column], before = True, 0
+    while seen.sum() > before:
+        before = seen.sum()
+        for shift in (-1, 1):
+            seen |= (np.roll(seen, shift, 0) | np.roll(seen, shift, 1)) & free
+            seen |= (
+                np.roll(np.roll(seen, shift, 0), -shift, 1) & free | np.roll(np.roll(seen, shift, 0), shift, 1) & free
+            )
+    outside = straight.cells_at(grid.centers_of((2, 2)))
+    assert not seen[outside[1], outside[0]]
+    assert seen.sum() == pytest.approx(28 * 38, rel=0.15)
+    assert (straight.occupancy[straight.flags == MapFlag.WALL] == 100).all()
+
+
+def test_what_is_beyond_a_turned_map_is_unknown() -> None:
+    grid = MapGrid2D.of(np.zeros((4, 4), np.uint8), [[0, 30, 0, 0]] * 4, origin=(0, 0, 45))
+    straight = turned(grid)
+    assert (straight.flags[0, 0], straight.occupancy[0, 0]) == (MapFlag.UNKNOWN, UNKNOWN)
+    assert {0, 30, UNKNOWN} == set(straight.occupancy.flat)
+    level = MapGrid2D()
+    assert turned(level) is level
+
+
+def test_a_map_that_would_be_too_large_is_not_made_straight() -> None:
+    grid = MapGrid2D.of(np.zeros((1, MAX_CELLS // 64), np.uint8), origin=(0, 0, 45))
+    with pytest.raises(ValueError, match="yaw 0"):
+        turned(grid)
