@@ -13,10 +13,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from functools import partial
 from threading import Lock
 from typing import Protocol
 
 import zenoh
+
+from bridge.hub.errands import Errands
 
 _log = logging.getLogger(__name__)
 
@@ -46,10 +49,18 @@ class History:
 
     With ``recovers`` it asks again where a publisher's last sample did not come. ``depth`` is how many samples each of
     them is asked for; it may be changed later.
+
+    It asks by ``errands``: a query waits where the link is congested, and zenoh's receiving thread, which tells of the
+    publishers, must go on reading. Two peers that both waited so for the other to read would do it for five seconds,
+    and then lose their link.
     """
 
-    def __init__(self, session: zenoh.Session, key: str, depth: int, listener: Listener, *, recovers: bool) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, depth: int, listener: Listener, errands: Errands, *, recovers: bool
+    ) -> None:
         self._session = session
+        self._errands = errands
+        self._closed = False
         self._key = key
         self._samples = zenoh.KeyExpr(key)
         self.depth = depth
@@ -92,6 +103,11 @@ class History:
     def ask(self, publishers: str, zid: str) -> None:
         """Ask the publishers at a key for what they keep. Not to be called with a lock held that the listener needs."""
         self._listener.asked(zid)
+        self._errands.send(partial(self._ask, publishers, zid))
+
+    def _ask(self, publishers: str, zid: str) -> None:
+        if self._closed:
+            return
         try:
             self._session.get(
                 f"{publishers}?_max={self.depth}",
@@ -112,6 +128,7 @@ class History:
 
     def close(self) -> None:
         """Ask no more. Safe to call twice."""
+        self._closed = True
         for subscriber in self._subscribers:
             with contextlib.suppress(zenoh.ZError):
                 subscriber.undeclare()  # type: ignore[no-untyped-call]

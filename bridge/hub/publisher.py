@@ -10,19 +10,17 @@ from threading import Lock
 from typing import Any, Protocol
 
 import zenoh
-from zenoh import ext
 
 from bridge.hub import attachment
 from bridge.hub.errors import HubClosedError, HubError, zenoh_reason
 from bridge.hub.graph import HubGraph
+from bridge.hub.latched import Heartbeats, LatchedPublisher
 from bridge.hub.liveliness import gid_of
 from bridge.hub.qos import History, Qos, Reliability
 
 KEEP_ALL_CACHE = 1000
 """Samples that a latched publisher keeps when its history is unlimited."""
 MAX_CACHE = 10_000
-HEARTBEAT = 0.5
-"""Seconds after which a latched publisher tells its last sample's number, as rmw_zenoh does."""
 
 
 class Priority(Enum):
@@ -70,41 +68,33 @@ class _PlainSink:
 
 
 class _LatchedSink:
-    """A transient-local publisher: it keeps its last samples and gives them to late joiners.
+    """A transient-local publisher: it keeps its last samples and gives them to late joiners."""
 
-    Sample miss detection makes zenoh number the samples per publisher and put the session's id on them; without it the
-    caches of several publishers in one session would be told apart by time alone.
-    """
-
-    def __init__(self, session: zenoh.Session, key: str, options: PublisherOptions, qos: Qos) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, options: PublisherOptions, qos: Qos, heartbeats: Heartbeats
+    ) -> None:
         reliable = qos.reliability is Reliability.RELIABLE
-        self._publisher = ext.declare_advanced_publisher(
+        self._publisher = LatchedPublisher(
             session,
             key,
-            congestion_control=options.congestion,
+            cache_depth(qos),
+            heartbeats if reliable else None,
+            congestion=options.congestion,
             priority=options.priority,
             express=options.express,
-            allowed_destination=zenoh.Locality.REMOTE,
-            cache=ext.CacheConfig(cache_depth(qos)),
-            sample_miss_detection=ext.MissDetectionConfig(
-                heartbeat=None, sporadic_heartbeat=HEARTBEAT if reliable else None
-            ),
-            publisher_detection=True,
         )
         # the wheel's AdvancedPublisher does not tell whether it is matched
         self._shadow = session.declare_publisher(key, allowed_destination=zenoh.Locality.REMOTE)
 
     def send(self, payload: bytes, attached: bytes) -> None:
-        self._publisher.put(payload, attachment=attached)
+        self._publisher.put(payload, attached)
 
     def matched(self) -> bool:
         return _matching(self._shadow)
 
     def close(self) -> None:
         self._shadow.undeclare()  # type: ignore[no-untyped-call]
-        # Not `undeclare`: that holds Python's lock while it ends the publisher's task, for ten seconds where a thread
-        # that zenoh needs for it waits for the lock (1.10). When the last reference goes, the lock is given away.
-        del self._publisher
+        self._publisher.close()
 
 
 class PublisherOptions:
@@ -144,6 +134,7 @@ class HubPublisher:
         qos: Qos,
         options: PublisherOptions,
         limit: int,
+        heartbeats: Heartbeats,
         on_close: Callable[[HubPublisher], None],
     ) -> None:
         self.topic = topic
@@ -153,7 +144,7 @@ class HubPublisher:
         self._lock = Lock()
         self._sequence = 0
         self._sink: _Sink | None = (
-            _LatchedSink(session, key, options, qos) if qos.latched else _PlainSink(session, key, options)
+            _LatchedSink(session, key, options, qos, heartbeats) if qos.latched else _PlainSink(session, key, options)
         )
         self._withdraw = graph.announce(token)
 

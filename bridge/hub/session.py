@@ -21,6 +21,7 @@ from bridge.hub.errors import HubClosedError, HubConfigError, HubError, zenoh_re
 from bridge.hub.graph import HubGraph
 from bridge.hub.keyexpr import subscription_key, topic_key
 from bridge.hub.keyspace import KeySpace
+from bridge.hub.latched import Heartbeats
 from bridge.hub.liveliness import (
     BRIDGE_ENCLAVE,
     EndpointKind,
@@ -114,6 +115,7 @@ class Hub:
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
         self._control = Control(session, settings.domain, settings.daemon, settings.worker)
         self._errands = Errands("hub-errands")
+        self._heartbeats = Heartbeats("hub-heartbeats")
         self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
@@ -183,9 +185,9 @@ class Hub:
             key = topic_key(self.domain, topic, type_name, type_hash)
             token = self._token(EndpointKind.PUBLISHER, topic, type_name, type_hash, qos)
             options = PublisherOptions(qos, priority, express)
-            limit = self.max_payload
+            limit, beats = self.max_payload, self._heartbeats
             drop = self._endpoints.discard
-            publisher = HubPublisher(self._session, self.graph, token, key, topic, qos, options, limit, drop)
+            publisher = HubPublisher(self._session, self.graph, token, key, topic, qos, options, limit, beats, drop)
             self._endpoints.add(publisher)
             return publisher
 
@@ -216,7 +218,7 @@ class Hub:
             limit = self.max_payload
             drop = self._endpoints.discard
             subscription = HubSubscription(
-                self._session, self.graph, token, key, topic, qos, limit, callback, drop, refused
+                self._session, self.graph, token, key, topic, qos, limit, self._errands, callback, drop, refused
             )
             self._endpoints.add(subscription)
             return subscription
@@ -292,6 +294,7 @@ class Hub:
         for space in self._spaces:
             space.close()
         self._errands.close()
+        self._heartbeats.close()
         self.graph.close()
         self._control.close()
         self._session.close()  # type: ignore[no-untyped-call]

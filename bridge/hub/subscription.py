@@ -10,6 +10,7 @@ from threading import Lock
 import zenoh
 
 from bridge.hub import attachment
+from bridge.hub.errands import Errands
 from bridge.hub.errors import WireError
 from bridge.hub.graph import HubGraph
 from bridge.hub.history import History
@@ -109,6 +110,7 @@ class HubSubscription:
         topic: str,
         qos: Qos,
         limit: int,
+        errands: Errands,
         callback: Callable[[HubSample], None],
         on_close: Callable[[HubSubscription], None],
         on_refused: Refused | None = None,
@@ -132,7 +134,7 @@ class HubSubscription:
         self._lock = Lock()
         self._closing = Lock()
         self._closed = False
-        self._history = History(session, key, self._depth, self, recovers=self._recovers)
+        self._history = History(session, key, self._depth, self, errands, recovers=self._recovers)
         # direct: without a thread per subscription; zenoh's receiving thread only appends and wakes
         self._subscriber: zenoh.Subscriber[None] = session.declare_subscriber(
             key,

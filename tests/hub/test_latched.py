@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections import Counter
 from dataclasses import replace
 
 import pytest
@@ -9,6 +12,7 @@ import zenoh
 
 from bridge.hub import attachment
 from bridge.hub.keyexpr import topic_key
+from bridge.hub.latched import HEARTBEAT
 from bridge.hub.qos import History, Qos
 from bridge.hub.session import Hub
 from bridge.hub.settings import make_config, session_tree
@@ -239,3 +243,40 @@ def test_an_answer_on_another_key_is_left_out(network: HubNetwork) -> None:
 def _client(network: HubNetwork) -> zenoh.Config:
     tree = session_tree(network.endpoint, shared_memory=False, max_payload=1 << 20)
     return make_config(tree, {"mode": "client"})
+
+
+def test_a_peer_that_does_not_read_keeps_no_latched_publisher_from_leaving(network: HubNetwork):
+    """A heartbeat waits for that peer; zenoh's own would have every publisher wait that leaves meanwhile."""
+    queue = {"congestion_control": {"block": {"wait_before_close": 60_000_000}}}
+    patient = {"transport": {"link": {"tx": {"queue": queue}}}}
+    blocking = Qos(history=History.KEEP_ALL)
+    go_on, sent = threading.Event(), Counter[str]()
+
+    def push() -> None:
+        while not go_on.is_set():
+            stream.put(bytes(1 << 20))
+            sent["MB"] += 1
+
+    with (
+        Hub.open(replace(network.settings("a"), zenoh=patient, shared_memory=False)) as a,
+        Hub.open(replace(network.settings("b"), shared_memory=False)) as b,
+    ):
+        see_each_other(a, b)
+        b.subscription("/stream", TYPE, HASH, blocking, lambda _: go_on.wait(30.0) and None)
+        stream, leaving = talk(a, "/stream", blocking), talk(a, "/map", LATCHED, "said", priority="state")
+        pushing = threading.Thread(target=push)
+        try:
+            Heard(b, "/map", LATCHED).wait("said")
+            matched(stream)
+            pushing.start()
+            until(lambda: sent["MB"] > 0, "b has something to read")
+            leaving.put(b"more")
+            said = time.monotonic()
+            until(lambda: time.monotonic() > said + 3 * HEARTBEAT, "the heartbeat is under way")
+            full, before = sent["MB"], time.monotonic()
+            leaving.close()
+            assert time.monotonic() - before < 8.0
+            assert sent["MB"] == full, "the link is not congested: this shows nothing"
+        finally:
+            go_on.set()
+            pushing.join(10.0)

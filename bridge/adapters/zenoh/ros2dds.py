@@ -37,6 +37,7 @@ from bridge.adapters.zenoh.subscription import KeySubscription
 from bridge.config.model import Config
 from bridge.config.sections.zenoh import Dialect
 from bridge.hub.call import Abandon, Call, CallError, Done
+from bridge.hub.latched import Heartbeats
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
@@ -67,6 +68,7 @@ class Ros2ddsEdge(KeyEdge):
         self._prefix = f"{namespace}/" if namespace else ""
         self._json_keys = json_keys
         self._plain = {self._prefix + str(key.topic)[1:] for key in dialect.keys}
+        self._heartbeats = Heartbeats(f"midspan-{self.side}-heartbeats")
         self._graph: Graph | None = None
         self._announcer: Announcer | None = None
 
@@ -77,6 +79,7 @@ class Ros2ddsEdge(KeyEdge):
 
     def closing(self) -> None:
         """See `KeyEdge.closing`."""
+        self._heartbeats.close()
         if self._graph is not None and self._announcer is not None:
             self._graph.close()
             self._announcer.close()
@@ -177,7 +180,9 @@ class Ros2ddsEdge(KeyEdge):
                 return qos.depth if static else _depth_of(graph, key, source)
 
             wanted = qos.depth if static else _told_depth(graph, key)
-            part: KeySubscription = LatchedSubscription(self.session, key, inbox, source_of, closed, depth, wanted)
+            part: KeySubscription = LatchedSubscription(
+                self.session, key, inbox, source_of, closed, depth, wanted, self.errands
+            )
         else:
             part = KeySubscription(self.session, key, inbox, source_of, closed)
         self.keep(part)
@@ -202,7 +207,7 @@ class Ros2ddsEdge(KeyEdge):
         """Publish on a key, and tell the bridges."""
         key = self._key(topic)
         withdraw = self._tell(Kind.PUBLISHER, key, side_type, qos)
-        publisher = Ros2ddsPublisher(self.session, key, qos, withdraw, self.drop)
+        publisher = Ros2ddsPublisher(self.session, key, qos, self._heartbeats, withdraw, self.drop)
         self.keep(publisher)
         return publisher
 

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 import zenoh
-from zenoh import ext
 
 from bridge.adapters.zenoh.sink import PlainSink, priority
+from bridge.hub.latched import Heartbeats, LatchedPublisher
 from bridge.hub.qos import Qos
 
 
@@ -20,21 +20,12 @@ class _Sink(Protocol):
 
 
 class _LatchedSink:
-    """zenoh's advanced publisher: keeps the last samples and gives them to late joiners, as the plugin's own do.
+    """Keeps the last samples and gives them to late joiners, as the plugin's own publishers do."""
 
-    Sample miss detection has zenoh put our session's id on each sample, and tells several publishers of one key apart.
-    """
-
-    def __init__(self, session: zenoh.Session, key: str, qos: Qos) -> None:
-        self._publisher = ext.declare_advanced_publisher(
-            session,
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority(qos),
-            allowed_destination=zenoh.Locality.REMOTE,
-            cache=ext.CacheConfig(max(qos.depth, 1)),
-            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
-            publisher_detection=True,
+    def __init__(self, session: zenoh.Session, key: str, qos: Qos, heartbeats: Heartbeats) -> None:
+        depth, congestion = max(qos.depth, 1), zenoh.CongestionControl.DROP
+        self._publisher = LatchedPublisher(
+            session, key, depth, heartbeats, congestion=congestion, priority=priority(qos)
         )
 
     def put(self, payload: bytes) -> None:
@@ -42,7 +33,7 @@ class _LatchedSink:
             self._publisher.put(payload)
 
     def close(self) -> None:
-        del self._publisher  # not `undeclare`: see `bridge.hub.publisher`
+        self._publisher.close()
 
 
 class Ros2ddsPublisher:
@@ -53,10 +44,11 @@ class Ros2ddsPublisher:
         session: zenoh.Session,
         key: str,
         qos: Qos,
+        heartbeats: Heartbeats,
         withdraw: Callable[[], None],
         closed: Callable[[Ros2ddsPublisher], None],
     ) -> None:
-        self._session, self._key, self._qos = session, key, qos
+        self._session, self._key, self._qos, self._heartbeats = session, key, qos, heartbeats
         self._withdraw, self._closed = withdraw, closed
         self._lock = threading.Lock()
         self._open = True
@@ -79,8 +71,9 @@ class Ros2ddsPublisher:
             sink.put(payload)
 
     def _make(self) -> _Sink:
-        make = _LatchedSink if self._qos.latched else PlainSink
-        return make(self._session, self._key, self._qos)
+        if self._qos.latched:
+            return _LatchedSink(self._session, self._key, self._qos, self._heartbeats)
+        return PlainSink(self._session, self._key, self._qos)
 
     def forget(self, source: str) -> None:
         """See `EdgePublisher.forget`."""

@@ -15,6 +15,7 @@ import zenoh
 from bridge.adapters.zenoh.inbox import Inbox
 from bridge.adapters.zenoh.mark import sender, time_ns
 from bridge.adapters.zenoh.subscription import KeySubscription
+from bridge.hub.errands import Errands
 from bridge.hub.history import History
 
 _MAX_HELD = 1000
@@ -27,6 +28,7 @@ class LatchedSubscription(KeySubscription):
     Args:
         depth: how many of the samples that were kept count, for the source with this id.
         wanted: samples that each publisher is asked for.
+        errands: where what may wait for zenoh is done.
     """
 
     def __init__(
@@ -38,6 +40,7 @@ class LatchedSubscription(KeySubscription):
         closed: Callable[[KeySubscription], None],
         depth: Callable[[str], int],
         wanted: int,
+        errands: Errands,
     ) -> None:
         self._depth = depth
         self._asking = threading.Lock()
@@ -46,7 +49,7 @@ class LatchedSubscription(KeySubscription):
         self._held: dict[str, list[tuple[zenoh.Sample, str]]] = {}
         self._last: dict[tuple[str, str], int] = {}
         super().__init__(session, key, inbox, source_of, closed)
-        self._history = History(session, key, wanted, self, recovers=False)
+        self._history = History(session, key, wanted, self, errands, recovers=False)
         self._history.open()
 
     def ask_for(self, wanted: int) -> None:
