@@ -44,7 +44,8 @@ CASES: dict[str, tuple[dict[str, Any], Any]] = {
     "nav_msgs/OccupancyGrid": (
         {"header": HEADER, "info": {"map_load_time": STAMP, "resolution": 0.5, "width": 2, "height": 1, "origin": POSE},
          "data": [100, -1]},
-        [2, 1, 1.0, 2.0, 90.0, 0.5, "map", 0, bytes([100, 255]), bytes([4, 5])],
+        # the same corner, as YARP says it of a turned map
+        [2, 1, 2.0, -1.0, -90.0, 0.5, "map", 0, bytes([100, 255]), bytes([4, 5])],
     ),
     "std_msgs/String": ({"data": "two words"}, ["two words"]),
     "std_msgs/Int32": ({"data": -7}, [-7]),
