@@ -20,6 +20,8 @@ from bridge.stores.errors import StoreError
 from bridge.stores.service import StoreService
 from bridge.stores.store import Store
 
+ACKNOWLEDGE_TOPIC = "/sim/acknowledge"
+
 
 class Host:
     """All that a module needs of the outside. One for each start of a module.
@@ -94,6 +96,17 @@ class Host:
         """Have the module forget what depends on time when the clock is set back, on the module's thread."""
         self.clock.on_jump(lambda: self.loop.post(forget))
 
+    def acknowledge(self) -> None:
+        """Say of each time of a simulation that all that hangs on it is done: for one that waits, in lock-step.
+
+        Called once the module has begun: what it does every so many seconds is done before.
+        """
+        if self.clock.simulated:
+            out = self.node.publisher(ACKNOWLEDGE_TOPIC, "std_msgs/msg/Header", priority="state")
+            self.clock.on_time(
+                lambda now: self.loop.post(lambda: out.publish({"stamp": _stamp(now), "frame_id": self.name}))
+            )
+
     def answer(self, verb: str, handler: Callable[[dict[str, Any]], Any]) -> None:
         """Answer a verb of the control plane under the module's name, on a thread of the hub."""
         self.node.hub.serve(verb, handler)
@@ -113,3 +126,8 @@ class Host:
         self.node.close()
         self.loop.close()
         self.node.hub.close()
+
+
+def _stamp(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return {"sec": seconds, "nanosec": rest}

@@ -63,6 +63,7 @@ class Running:
             module = self._module = self._kind()
             host.loop.start()
             host.loop.call(lambda: module.start(host, self.section), seconds=30.0)
+            host.acknowledge()
             host.answer("status", self._status)
             host.loop.every(1.0, host.tick)
         except (RuntimeError, HubError, MessageError, OSError, TimeoutError) as err:

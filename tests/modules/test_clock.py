@@ -39,6 +39,7 @@ def config(place: Place, source: str) -> Any:  # noqa: F811
 def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa: F811
     place.worker.start(config(place, "sim"))
     out = place.far.advertise("/clock", CLOCK)
+    done = place.far.subscribe("/sim/acknowledge", "std_msgs/Header")
 
     def say(seconds: float) -> None:
         sec, nanosec = divmod(round(seconds * 1e9), 1_000_000_000)
@@ -50,6 +51,8 @@ def test_timers_and_stamps_follow_the_simulation(place: Place) -> None:  # noqa:
             say(second - 1 + tenth / 10)
         until(lambda s=second: Ticking.seen[-1:] == [str(s)], "a second")
     assert Ticking.seen == ["11", "12", "13"]
+    until(lambda: place.far.wait(done, 1)[-1]["stamp"]["sec"] == 13, "the module is done with the time")
+    assert place.far.wait(done, 1)[-1]["frame_id"] == "ticking"
     say(2.0)
     until(lambda: "back" in Ticking.seen, "the jump is told")
     say(3.0)

@@ -3,12 +3,13 @@
 One command a line, one answer a line, in order. Commands (``do``):
 
 ``advertise`` topic, type, latched, best_effort, depth -> id; ``publish`` id, message (a dict of the fields), times;
-``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds -> messages (all so far, after
-``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name: [types]}, publishers {topic: [nodes]},
-subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish so many ``std_msgs/String`` that hold numbers
-from ``first`` on, per second ``rate``, beside other commands; ``counted`` id, now: wait for its end (or end it now) ->
-sent; ``tally`` id, since -> received, distinct numbers, ``last``: ``time.monotonic()`` at the last arrival,
-``silence``: the longest time between two arrivals from ``since`` on; ``exit``.
+``subscribe`` topic, type, latched, best_effort, depth -> id; ``wait`` id, count, seconds, since -> messages (all so
+far but ``since`` first ones, after ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name:
+[types]}, publishers {topic: [nodes]}, subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish
+so many ``std_msgs/String`` that hold numbers from ``first`` on, per second ``rate``, beside other commands;
+``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
+``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
+``exit``.
 An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
 only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or
@@ -66,9 +67,10 @@ class Peer(Process):
         """Publish one message, given by its fields; ``times`` in a row."""
         self.ask("publish", id=endpoint, message=message, times=times)
 
-    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[dict[str, Any]]:
-        """All messages so far, once ``count`` have come or the time is over."""
-        messages: list[dict[str, Any]] = self.ask("wait", id=endpoint, count=count, seconds=seconds)["messages"]
+    def wait(self, endpoint: int, count: int, seconds: float = 10.0, since: int = 0) -> list[dict[str, Any]]:
+        """All messages so far but the first ``since``, once ``count`` have come or the time is over."""
+        answer = self.ask("wait", id=endpoint, count=count, seconds=seconds, since=since)
+        messages: list[dict[str, Any]] = answer["messages"]
         return messages
 
     def drop(self, endpoint: int) -> None:

@@ -98,10 +98,10 @@ class Subscriber:
             self.headers[header.get("callerid", "")] = header
             self.ready.notify_all()
 
-    def wait(self, count, seconds):
+    def wait(self, count, seconds, since):
         with self.ready:
             self.ready.wait_for(lambda: len(self.messages) >= count, seconds)
-            return [to_plain(m) for m in self.messages]
+            return [to_plain(m) for m in self.messages[since:]]
 
 
 class Serving:
@@ -209,8 +209,8 @@ class Peer:
         cls = rospy.AnyMsg if type == "*" else message_class(type)
         return self.add(Subscriber(topic, cls, queue))
 
-    def do_wait(self, id, count, seconds, **_):
-        return {"messages": self.endpoints[id].wait(count, seconds)}
+    def do_wait(self, id, count, seconds, since=0, **_):
+        return {"messages": self.endpoints[id].wait(count, seconds, since)}
 
     def do_count(self, id, first, count, rate, **_):
         publisher = self.endpoints[id]

@@ -132,7 +132,7 @@ class Peer:
         endpoint = self.endpoints[params["id"]]
         with endpoint.arrived:
             endpoint.arrived.wait_for(lambda: len(endpoint.messages) >= params["count"], params["seconds"])
-            return {"messages": [to_plain(m) for m in endpoint.messages]}
+            return {"messages": [to_plain(m) for m in endpoint.messages[params["since"] :]]}
 
     def count(self, params: dict[str, Any]) -> dict[str, Any]:
         endpoint = self.endpoints[params["id"]]

@@ -174,7 +174,7 @@ class ZenohPeer:
         messages = self._messages[params["id"]]
         with self._came:
             self._came.wait_for(lambda: len(messages) >= params["count"], params["seconds"])
-            return {"messages": list(messages)}
+            return {"messages": list(messages[params["since"] :])}
 
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints.pop(params["id"]).close()

@@ -1,0 +1,87 @@
+"""Squares driven by a program of one side: its commands and what it hears of odometry cross that side alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, Protocol
+
+SPEED, TURN = 0.25, 0.4
+SIDES = 4
+
+
+class Pose(NamedTuple):
+    """Metres, metres, radians."""
+
+    x: float
+    y: float
+    theta: float
+
+
+class Program(Protocol):
+    """Who drives."""
+
+    def command(self, x: float, turn: float) -> None:
+        """Command a velocity: m/s, rad/s."""
+
+    def pose(self, after_ns: int) -> Pose:
+        """The odometry, stamped at that time or later."""
+
+
+def driven(program: Program, side: float, step: Callable[[], int]) -> Iterator[Pose]:
+    """Drive a square, leg after leg, each closed on odometry; the pose at each corner, as the odometry says it.
+
+    Args:
+        program: who drives.
+        side: metres.
+        step: lets a moment pass; the simulation's time after it, nanoseconds.
+    """
+    now = step()
+    start = program.pose(now)
+    for corner in range(SIDES):
+        heading = start.theta + corner * math.pi / 2
+        target = _ahead(start, corner, side)
+        for goal in (target, None):
+            while True:
+                pose = program.pose(now)
+                wanted = heading if goal is not None else heading + math.pi / 2
+                command = _towards(pose, wanted, goal)
+                program.command(*command)
+                now = step()
+                if command == (0.0, 0.0):
+                    break
+        yield program.pose(now)
+
+
+def _ahead(start: Pose, corner: int, side: float) -> tuple[float, float]:
+    x, y = start.x, start.y
+    for leg in range(corner + 1):
+        angle = start.theta + leg * math.pi / 2
+        x, y = x + side * math.cos(angle), y + side * math.sin(angle)
+    return x, y
+
+
+def _towards(pose: Pose, heading: float, goal: tuple[float, float] | None) -> tuple[float, float]:
+    """What to command on the way to a point, or to turn to a heading; zero where that is reached."""
+    if goal is None:
+        left = math.remainder(heading - pose.theta, 2 * math.pi)
+        return (0.0, 0.0) if abs(left) < 0.005 else (0.0, _clipped(1.5 * left, TURN))
+    dx, dy = goal[0] - pose.x, goal[1] - pose.y
+    ahead = dx * math.cos(heading) + dy * math.sin(heading)
+    aside = -dx * math.sin(heading) + dy * math.cos(heading)
+    if ahead < 0.005:
+        return 0.0, 0.0
+    turn = math.remainder(heading - pose.theta, 2 * math.pi) + 2.0 * aside
+    return _clipped(1.5 * ahead, SPEED), _clipped(turn, TURN)
+
+
+def _clipped(value: float, most: float) -> float:
+    return math.copysign(min(max(abs(value), 0.01), most), value)
+
+
+def pose_of(odometry: dict[str, Any]) -> tuple[int, Pose]:
+    """The stamp (nanoseconds) and the pose of a `nav_msgs/Odometry`, whichever side spells its stamp."""
+    stamp, pose = odometry["header"]["stamp"], odometry["pose"]["pose"]
+    seconds, nanoseconds = stamp.get("sec", stamp.get("secs")), stamp.get("nanosec", stamp.get("nsecs"))
+    theta = 2.0 * math.atan2(pose["orientation"]["z"], pose["orientation"]["w"])
+    return seconds * 1_000_000_000 + nanoseconds, Pose(pose["position"]["x"], pose["position"]["y"], theta)
