@@ -7,8 +7,8 @@ One command a line, one answer a line, in order. Commands (``do``):
 far but ``since`` first ones, after ``count`` have come or the time is over); ``drop`` id; ``graph`` -> topics {name:
 [types]}, publishers {topic: [nodes]}, subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish
 so many ``std_msgs/String`` that hold numbers from ``first`` on, per second ``rate``, beside other commands;
-``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers, ``last``:
-``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
+``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers,
+``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
 ``exit``.
 An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
