@@ -17,7 +17,8 @@ from bridge.tf.buffer import TransformBuffer
 from bridge.tf.server.buffer_server import BufferServer
 from bridge.tf.server.clock import YarpClock
 from bridge.tf.server.exchange import Exchange
-from bridge.tf.server.rpc import Getter, Setter, Streamed
+from bridge.tf.server.rpc import Getter, Setter
+from bridge.tf.server.stream import Stream
 from bridge.tf.server.view import View
 from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.worker import Health
@@ -58,16 +59,16 @@ class TransformServer(Module):
         self._served = BufferServer(host.node, self._buffer) if section.buffer_server else None
 
         ports = section.prefix + SERVER
-        host.yarp.serve(ports + SET, Setter(self._exchange))
-        host.yarp.serve(ports + GET, Getter(self._exchange))
-        stream = host.yarp.output(ports + STREAM)
         generations = host.config.yarp.generations()
-
-        def send() -> None:
-            if stream.heard:
-                stream.write(Streamed(self._exchange.give(), lambda profile: generations.of("", profile).generation))
-
-        host.loop.every(section.period, send)
+        stream = Stream(
+            host.yarp.output(ports + STREAM),
+            self._exchange.give,
+            lambda profile: generations.of("", profile).generation,
+            section.period,
+        )
+        host.yarp.serve(ports + SET, Setter(self._exchange, lambda: host.loop.post(stream.changed)))
+        host.yarp.serve(ports + GET, Getter(self._exchange))
+        host.loop.every(section.period, stream.tick)
 
     def reload(self, section: Section) -> bool:
         """Take up other lifetimes while it runs."""

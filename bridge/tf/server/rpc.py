@@ -1,4 +1,4 @@
-"""What YARP's clients of transforms call, and what is streamed to them."""
+"""What YARP's clients of transforms call."""
 
 # ruff: noqa: N802 - the methods' names are YARP's
 
@@ -8,27 +8,26 @@ from collections.abc import Callable
 
 from bridge.tf.server.exchange import Exchange
 from yarp_compat.dev.frametransform import FrameTransform
-from yarp_compat.dev.frametransformstorage import (
-    FrameTransformStorageGetRPC,
-    FrameTransformStorageSetRPC,
-    Transforms,
-)
+from yarp_compat.dev.frametransformstorage import FrameTransformStorageGetRPC, FrameTransformStorageSetRPC
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
-from yarp_compat.wire.generation import Generation
-from yarp_compat.wire.message import Buffer
-from yarp_compat.wire.profile import Profile
 
 
 class Setter(FrameTransformStorageSetRPC):
-    """Takes transforms for the exchange."""
+    """Takes transforms for the exchange.
 
-    def __init__(self, exchange: Exchange) -> None:
+    Args:
+        exchange: where they go.
+        changed: hears that something was set or deleted.
+    """
+
+    def __init__(self, exchange: Exchange, changed: Callable[[], None] = lambda: None) -> None:
         super().__init__()
-        self._exchange = exchange
+        self._exchange, self._changed = exchange, changed
 
     def setTransformsRPC(self, transforms: list[FrameTransform]) -> ReturnValue:
         """Take several."""
         refusal = self._exchange.set(transforms)
+        self._changed()
         if refusal is not None:
             raise CallFailed(reason=str(refusal))
         return OK
@@ -41,12 +40,12 @@ class Setter(FrameTransformStorageSetRPC):
         """Forget what YARP programs set between two frames; as in YARP it fails where two named ones have nothing."""
         if not self._exchange.delete(src, dst) and "*" not in (src, dst):
             raise CallFailed(reason=f"no YARP program set anything between {src} and {dst}")
+        self._changed()
         return OK
 
     def clearAllRPC(self) -> ReturnValue:
         """Forget all that YARP programs set."""
-        self._exchange.delete("*", "*")
-        return OK
+        return self.deleteTransformRPC("*", "*")
 
 
 class Getter(FrameTransformStorageGetRPC):
@@ -59,20 +58,3 @@ class Getter(FrameTransformStorageGetRPC):
     def getTransformsRPC(self) -> tuple[ReturnValue, list[FrameTransform]]:
         """All frames."""
         return OK, self._exchange.give()
-
-
-class Streamed(Transforms):
-    """All frames, each generation of YARP with the outcome as it reads it.
-
-    Args:
-        transforms: the frames.
-        generation: the one of the programs of a dialect.
-    """
-
-    def __init__(self, transforms: list[FrameTransform], generation: Callable[[Profile], Generation]) -> None:
-        super().__init__(OK, transforms)
-        self._generation = generation
-
-    def to_wire(self, profile: Profile = Profile.YARP3, generation: Generation | None = None) -> list[Buffer]:
-        """The bytes for a dialect."""
-        return super().to_wire(profile, generation or self._generation(profile))

@@ -1,0 +1,93 @@
+"""The ROS 1 program: ros1.py FRAMES. It runs on the system's Python."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import rospy
+from geometry_msgs.msg import TransformStamped
+from tf2_msgs.msg import TFMessage
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from benchmarks.frameload.tally import Tally, only_answers, serve
+
+_HEAD = struct.Struct("<IIII")
+_SIZE = struct.Struct("<I")
+_POSE = struct.Struct("<7d")
+
+
+def transforms(data: bytes) -> list[tuple[str, float]]:
+    """Each child with its x."""
+    at, found = _SIZE.size, []
+    for _ in range(_SIZE.unpack_from(data)[0]):
+        at += _HEAD.size + _HEAD.unpack_from(data, at)[3]
+        start = at + _SIZE.size
+        at = start + _SIZE.unpack_from(data, at)[0]
+        found.append((data[start:at].decode(), _POSE.unpack_from(data, at)[0]))
+        at += _POSE.size
+    return found
+
+
+class Program:
+    """What it does."""
+
+    def __init__(self, frames: int) -> None:
+        self.tally = Tally(frames)
+        self.static: Any = None
+
+    def count(self) -> dict[str, Any]:
+        """Begin to count."""
+
+        def hear(message: Any) -> None:
+            self.tally.see([round(x) for child, x in transforms(message._buff) if child.startswith("load")])
+
+        rospy.Subscriber("/tf", rospy.AnyMsg, hear, tcp_nodelay=True)
+        return {}
+
+    def mount(self, frames: list[str]) -> dict[str, Any]:
+        """Publish static frames, latched."""
+        self.static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+        made = []
+        for name in frames:
+            one = TransformStamped()
+            one.header.frame_id, one.child_frame_id, one.transform.rotation.w = "base", name, 1.0
+            made.append(one)
+        self.static.publish(TFMessage(made))
+        return {}
+
+    def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
+        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        whole, slowest = 0, 0.0
+        for _ in range(count):
+            left, done = set(frames), threading.Event()
+
+            def hear(message: Any, left: set[str] = left, done: threading.Event = done) -> None:
+                left.difference_update(child for child, _ in transforms(message._buff))
+                if not left:
+                    done.set()
+
+            start = time.monotonic()
+            subscriber = rospy.Subscriber("/tf_static", rospy.AnyMsg, hear)
+            whole += done.wait(seconds)
+            slowest = max(slowest, time.monotonic() - start)
+            subscriber.unregister()
+        return {"whole": whole, "slowest": slowest}
+
+
+def main() -> None:
+    """Run until told otherwise."""
+    answers = only_answers()
+    rospy.init_node("frames_load", disable_signals=True)
+    program = Program(int(sys.argv[1]))
+    serve(answers, {
+        "count": program.count, "report": program.tally.report, "mount": program.mount, "join": program.join
+    })  # fmt: skip
+    rospy.signal_shutdown("done")
+
+
+main()

@@ -1,0 +1,102 @@
+"""The ROS 2 program: ros2.py FRAMES."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+import rclpy.executors
+import rclpy.utilities
+from geometry_msgs.msg import TransformStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from benchmarks.frameload.tally import Tally, only_answers, serve
+from bridge.tf.stamped import read
+
+
+def qos(depth: int, *, latched: bool = False) -> QoSProfile:
+    """Reliable, with or without what was said before."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=depth, durability=durability)  # type: ignore[no-untyped-call]
+
+
+class Program:
+    """What it does."""
+
+    def __init__(self, frames: int) -> None:
+        self.tally = Tally(frames)
+        self.node = rclpy.create_node("frames_load")
+        self.static: Any = None
+        self.spinning: threading.Thread | None = None
+
+    def count(self) -> dict[str, Any]:
+        """Begin to count."""
+
+        def hear(data: bytes) -> None:
+            found = read(bytes(data))
+            self.tally.see([round(one.translation[0]) for one in found if one.child_frame_id.startswith("load")])
+
+        self.node.create_subscription(TFMessage, "/tf", hear, qos(1000), raw=True)
+        self.spinning = threading.Thread(target=self._spin, daemon=True)
+        self.spinning.start()
+        return {}
+
+    def _spin(self) -> None:
+        with contextlib.suppress(rclpy.executors.ExternalShutdownException):
+            rclpy.spin(self.node)
+
+    def mount(self, frames: list[str]) -> dict[str, Any]:
+        """Publish static frames, latched."""
+        self.static = self.node.create_publisher(TFMessage, "/tf_static", qos(1, latched=True))
+        message = TFMessage()
+        for name in frames:
+            one = TransformStamped()
+            one.header.frame_id, one.child_frame_id = "base", name
+            message.transforms.append(one)
+        self.static.publish(message)
+        return {}
+
+    def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
+        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        whole, slowest = 0, 0.0
+        for number in range(count):
+            left = set(frames)
+
+            def hear(data: bytes, left: set[str] = left) -> None:
+                left.difference_update(one.child_frame_id for one in read(bytes(data)))
+
+            start = time.monotonic()
+            node = rclpy.create_node(f"late_{number}")
+            executor = rclpy.executors.SingleThreadedExecutor()
+            executor.add_node(node)
+            node.create_subscription(TFMessage, "/tf_static", hear, qos(100, latched=True), raw=True)
+            while left and time.monotonic() - start < seconds:
+                executor.spin_once(timeout_sec=0.1)
+            whole += not left
+            slowest = max(slowest, time.monotonic() - start)
+            executor.shutdown()
+            node.destroy_node()  # type: ignore[no-untyped-call]
+        return {"whole": whole, "slowest": slowest}
+
+
+def main() -> None:
+    """Run until told otherwise."""
+    answers = only_answers()
+    rclpy.init()
+    program = Program(int(sys.argv[1]))
+    serve(answers, {
+        "count": program.count, "report": program.tally.report, "mount": program.mount, "join": program.join
+    })  # fmt: skip
+    rclpy.utilities.try_shutdown()
+    if program.spinning is not None:
+        program.spinning.join()
+
+
+main()

@@ -1,0 +1,115 @@
+"""The YARP programs: yarp.py FRAMES NAMESERVER-PORT. One of them sets, another reads the stream."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from benchmarks.frameload.tally import Tally, only_answers, serve
+from yarp_compat.dev.frametransform import FrameTransform
+from yarp_compat.dev.frametransform_client import TransformClient
+from yarp_compat.dev.frametransformstorage import SERVER, STREAM, Transforms
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.pythonic import Reader
+
+
+class Program:
+    """What it does."""
+
+    def __init__(self, frames: int, port: int) -> None:
+        self.frames = frames
+        self.tally = Tally(frames)
+        self.names = NameClient(Address("127.0.0.1", port))
+        self.client: Any = None
+        self.reader: Any = None
+        self.setting: Any = None
+        self.sent = 0
+        self.took: list[float] = []
+
+    def count(self) -> dict[str, Any]:
+        """Begin to count what is streamed."""
+        reader = self.reader = Reader("", naming=self.names, strict=True).open()
+        connections.connect(self.names, SERVER + STREAM, reader.name)
+
+        def read() -> None:
+            for message in reader:
+                found = message.to(Transforms).transforms_list
+                ticks = [round(one.tX) for one in found if one.dst_frame_id.startswith("load")]
+                if ticks:
+                    self.tally.see(ticks)
+
+        threading.Thread(target=read, daemon=True).start()
+        return {}
+
+    def mount(self, frames: list[str]) -> dict[str, Any]:
+        """Set static frames."""
+        self.client = TransformClient(naming=self.names).open()
+        self.client.set_all({(name, "base"): np.eye(4) for name in frames}, static=True)
+        return {}
+
+    def set(self, rate: float, ticks: int, first: int) -> dict[str, Any]:
+        """Begin to set all frames at once, so many times, with the numbers from ``first`` on."""
+        self.sent, self.took = 0, []
+        made = [FrameTransform("base", f"load{n}") for n in range(self.frames)]
+
+        def work() -> None:
+            with TransformClient(naming=self.names, streaming=False) as client:
+                due = time.monotonic()
+                for tick in range(first, first + ticks):
+                    now = time.time()
+                    for one in made:
+                        one.timestamp, one.tX = now, float(tick)
+                    start = time.monotonic()
+                    assert client.send(made)
+                    self.took.append(time.monotonic() - start)
+                    self.sent = tick - first + 1
+                    due += 1.0 / rate
+                    time.sleep(max(0.0, due - time.monotonic()))
+
+        self.setting = threading.Thread(target=work, daemon=True)
+        self.setting.start()
+        return {}
+
+    def done(self, seconds: float) -> dict[str, Any]:
+        """Wait for the end of setting."""
+        self.setting.join(seconds)
+        return {"sent": self.sent, "ms": 1000 * statistics.median(self.took) if self.took else 0.0}
+
+    def join(self, count: int, frames: list[str], seconds: float) -> dict[str, Any]:
+        """Join late, so many times; in how many of them all frames came, and how long the slowest took."""
+        whole, slowest = 0, 0.0
+        for _ in range(count):
+            start = time.monotonic()
+            with TransformClient(naming=self.names) as client:
+                whole += client.wait_until(lambda tree: all(name in tree for name in frames), seconds)
+                slowest = max(slowest, time.monotonic() - start)
+        return {"whole": whole, "slowest": slowest}
+
+    def close(self) -> None:
+        """End what is open."""
+        for end in (self.reader, self.client):
+            if end is not None:
+                end.close()
+
+
+def main() -> None:
+    """Run until told otherwise."""
+    answers = only_answers()
+    program = Program(int(sys.argv[1]), int(sys.argv[2]))
+    serve(answers, {
+        "count": program.count, "report": program.tally.report, "mount": program.mount, "join": program.join,
+        "set": program.set, "done": program.done,
+    })  # fmt: skip
+    program.close()
+
+
+main()

@@ -1,0 +1,165 @@
+"""A load of frames: set by one YARP client, seen by rospy, rclpy and a streaming YARP client; and late joiners.
+
+200 frames (``--frames``) are set in one call 100 times a second (``--rate``) for a minute (``--seconds``). Printed are
+the ticks of which each side saw all frames, beside those that were set, and the processor time of each worker. YARP's
+stream is a state, sent 100 times a second by its own clock, so it shows what held at its times: there it counts that
+none of its messages lacks a frame.
+
+Then each side publishes 100 static frames, and programs of each side join late, one after the other (``--joiners``): of
+each it is counted whether it got all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import ros2_environment, ros2_python
+from tests.support.wait import until
+
+PROGRAMS = Path(__file__).parent / "frameload"
+SIDES = ("ros1", "ros2", "yarp")
+STATIC = 100
+PATIENCE = 20.0
+_WARM = 10_000_000
+"""Tick numbers that do not count."""
+
+
+class Load:
+    """The daemon and the programs.
+
+    Args:
+        deployment: not started yet.
+        frames: how many are set.
+    """
+
+    def __init__(self, deployment: Deployment, frames: int) -> None:
+        self.deployment, self.frames, self.number = deployment, frames, free_port()
+        deployment.start(
+            yarp={"address": f"127.0.0.1:{self.number}", "nameserver": "embedded", "poll": 0.1},
+            modules={"transform_server": {"enabled": True}},
+        )
+        until(
+            lambda: "tf:o" in str(self._server()) and "waiting" not in str(self._server()), "the server serves", 40, 0.2
+        )
+        self.setter = self._program("yarp")
+        self.programs = {side: self._program(side) for side in SIDES}
+
+    def _server(self) -> Any:
+        return next((one.get("ports") for one in self.deployment.status() if one["worker"] == "transform_server"), None)
+
+    def _program(self, side: str) -> Peer:
+        python, env = {
+            "ros1": (ROS1_PYTHON, self.deployment.master.env),
+            "ros2": (ros2_python(), ros2_environment()),
+            "yarp": (Path(sys.executable), {"PATH": "/usr/bin:/bin"}),
+        }[side]
+        peer: Peer = self.deployment.keep(
+            Peer(PROGRAMS / f"{side}.py", python, env, str(self.frames), str(self.number))
+        )
+        return peer
+
+    def workers(self) -> dict[str, psutil.Process]:
+        """The daemon's processes by what they are."""
+        found = {one["worker"]: one["pid"] for one in self.deployment.status() if "pid" in one}
+        return {name: psutil.Process(pid) for name, pid in sorted(found.items())}
+
+    def run(self, rate: float, seconds: float) -> list[Row]:
+        """Set frames for a while."""
+        for program in self.programs.values():
+            program.ask("count")
+        self._warm(rate)
+        before = {side: program.ask("report") for side, program in self.programs.items()}
+        processes = self.workers()
+        spent = {name: sum(process.cpu_times()[:2]) for name, process in processes.items()}
+        start = time.monotonic()
+        ticks = round(rate * seconds)
+        self.setter.ask("set", rate=rate, ticks=ticks, first=1)
+        done = self.setter.ask("done", seconds=3 * seconds + 60)
+        took = time.monotonic() - start
+        used = {name: sum(process.cpu_times()[:2]) - spent[name] for name, process in processes.items()}
+        sent = done["sent"]
+        rows = []
+        for side in ("ros1", "ros2"):
+            program = self.programs[side]
+            seen = self._seen(program, before[side]["ticks"], sent)
+            rows.append(Row(f"{self.frames} frames at {rate:g} Hz, {side}, ticks seen of set", seen, sent, "", "more"))
+        found = self.programs["yarp"].ask("report")
+        streamed, short = (found[key] - before["yarp"][key] for key in ("messages", "short"))
+        rows.append(Row("yarp stream, messages with all frames, of all", streamed - short, streamed, "", "more"))
+        rows.append(Row("yarp stream, ticks seen of set", found["ticks"] - before["yarp"]["ticks"], sent, "", "more"))
+        rows.append(Row("setTransforms, p50, to its period", done["ms"], 1000 / rate, "ms"))
+        rows.append(Row("time for all, to what it should be", took, seconds, "s"))
+        rows += [Row(f"CPU of {name}, of one core", used[name] / took, 1.0, "cores") for name in processes]
+        return rows
+
+    def join(self, count: int) -> list[Row]:
+        """Late joiners of each side."""
+        frames = {side: [f"{side}_{n}" for n in range(STATIC)] for side in SIDES}
+        for side, program in self.programs.items():
+            program.ask("mount", frames=frames[side])
+        rows = []
+        everything = [name for names in frames.values() for name in names]
+        for program in self.programs.values():
+            program.ask("join", count=1, frames=everything, seconds=2 * PATIENCE)
+        for side, program in self.programs.items():
+            found = program.ask("join", count=count, frames=everything, seconds=PATIENCE)
+            rows.append(
+                Row(f"late joiners of {side} that got all {len(everything)}", found["whole"], count, "", "more")
+            )
+            rows.append(Row(f"the slowest of {side}, to {PATIENCE:g} s", found["slowest"], PATIENCE, "s"))
+        return rows
+
+    def _warm(self, rate: float) -> None:
+        """Set frames until every program sees them."""
+
+        def seen() -> bool:
+            self.setter.ask("set", rate=rate, ticks=5, first=_WARM)
+            self.setter.ask("done", seconds=60)
+            return all(program.ask("report")["ticks"] for program in self.programs.values())
+
+        until(seen, "all sides see frames", 60, 0.2)
+        time.sleep(1.0)  # these leave YARP's view, and what is under way arrives
+
+    @staticmethod
+    def _seen(program: Peer, before: int, sent: int) -> int:
+        """Ticks that a program saw, once all are there or nothing has come for a while."""
+        end = time.monotonic() + 5.0
+        while True:
+            seen = int(program.ask("report")["ticks"]) - before
+            if seen >= sent or time.monotonic() > end:
+                return seen
+            time.sleep(0.1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run it and print the rows."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--rate", type=float, default=100.0)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--joiners", type=int, default=50)
+    add_json_option(parser)
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
+        load = Load(deployment, options.frames)
+        rows = load.run(options.rate, options.seconds) + load.join(options.joiners)
+    report(rows, options.json)
+
+
+if __name__ == "__main__":
+    main()

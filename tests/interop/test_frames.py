@@ -1,0 +1,130 @@
+"""A chain of frames from ROS 1, ROS 2 and YARP, looked up from all three by programs that join late."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import TransformError
+from bridge.tf.transform import Transform
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.wait import until
+from yarp_compat.dev.frametransform_client import TransformClient
+from yarp_compat.dev.frametree import of_angles
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+
+TF = "tf2_msgs/TFMessage"
+MOUNT = of_angles(0.1, 0.2, 0.3)
+MOUNT[:3, 3] = 0.5, 0.25, 1.0
+
+
+class Speaker:
+    """A ROS program that says where a frame is, and where another is mounted on it."""
+
+    def __init__(self, peer: Peer, words: tuple[str, str], parent: str, child: str, mounted: str, x: float) -> None:
+        self.peer, self.words, self.parent, self.child, self.x = peer, words, parent, child, x
+        self.tf, self.tf_static = peer.advertise("/tf", TF), peer.advertise("/tf_static", TF, latched=True, depth=1)
+        peer.publish(self.tf_static, {"transforms": [stamped(words, child, mounted, 1.0)]})
+
+    def say(self) -> None:
+        self.peer.publish(self.tf, {"transforms": [stamped(self.words, self.parent, self.child, self.x)]})
+
+
+class Listener:
+    """A ROS program's frames."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer, self.buffer, self.taken = peer, TransformBuffer(), [0, 0]
+        self.heard = peer.subscribe("/tf", TF, depth=1000), peer.subscribe("/tf_static", TF, latched=True, depth=100)
+
+    def look(self, target: str, source: str) -> Transform | None:
+        for n, heard in enumerate(self.heard):
+            messages = self.peer.wait(heard, 0, 0.0)
+            for message in messages[self.taken[n] :]:
+                for transform in message["transforms"]:
+                    header, pose = transform["header"], transform["transform"]
+                    seconds, rest = (part for part in header["stamp"].values())
+                    moved, turned = ([float(pose[k][i]) for i in axes] for k, axes in PARTS)
+                    self.buffer.set_transform(
+                        header["frame_id"],
+                        transform["child_frame_id"],
+                        seconds * 10**9 + rest,
+                        moved,
+                        turned,
+                        static=n == 1,
+                    )
+            self.taken[n] = len(messages)
+        try:
+            return self.buffer.lookup_transform(target, source)
+        except TransformError:
+            return None
+
+
+PARTS = (("translation", "xyz"), ("rotation", "xyzw"))
+
+
+def stamped(words: tuple[str, str], parent: str, child: str, x: float) -> dict[str, Any]:
+    """A frame that is so far ahead, and turned by 90 degrees to the left."""
+    stamp = dict(zip(words, divmod(time.time_ns(), 10**9), strict=True))
+    half = 0.5**0.5
+    pose = {"translation": {"x": x, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": half, "w": half}}
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": pose}
+
+
+def test_a_chain_from_three_sides_is_the_same_for_all(deployment: Deployment) -> None:
+    number = free_port()
+    deployment.start(
+        yarp={"address": f"127.0.0.1:{number}", "nameserver": "embedded", "poll": 0.1},
+        modules={"transform_server": {"enabled": True}},
+    )
+    names = NameClient(Address("127.0.0.1", number))
+    ports = "/frameTransformServer/frameTransformGet_nws_yarp/tf:o"
+    until(lambda: named(names, ports), "the server's ports are there", 40, 0.2)
+    speakers = (
+        Speaker(deployment.ros1(), ("secs", "nsecs"), "map", "odom", "beacon", 2.0),
+        Speaker(deployment.ros2(), ("sec", "nanosec"), "odom", "base", "bumper", 3.0),
+    )
+    with TransformClient(naming=names) as yarp:
+        yarp.set("lens", "laser", MOUNT, static=True)
+
+        def tell() -> None:
+            for speaker in speakers:
+                speaker.say()
+            yarp.set("laser", "base", MOUNT)
+
+        late = Listener(deployment.ros1()), Listener(deployment.ros2())
+        with TransformClient(naming=names) as late_yarp:
+            want = chain(2.0) @ chain(3.0) @ MOUNT @ MOUNT
+            for listener in late:
+                found = until(lambda one=listener: (tell(), one.look("map", "lens"))[1], "ROS has the chain", 60, 0.1)
+                np.testing.assert_allclose(found.translation, want[:3, 3], atol=1e-9)
+                until(
+                    lambda one=listener: all(one.look("map", n) for n in ("beacon", "bumper")),
+                    "and all mounts",
+                    60,
+                    0.1,
+                )
+            for client in (yarp, late_yarp):
+                until(lambda c=client: (tell(), c.canTransform("lens", "map"))[1], "YARP has the chain", 60, 0.1)
+                tell()
+                np.testing.assert_allclose(client.pose("lens", "map", timeout=20), want, atol=1e-9)
+                assert {"beacon", "bumper"} <= set(client)
+
+
+def chain(x: float) -> np.ndarray:
+    made = of_angles(0.0, 0.0, np.pi / 2)
+    made[0, 3] = x
+    return made
+
+
+def named(names: NameClient, port: str) -> bool:
+    try:
+        return names.query(port) is not None
+    except OSError:
+        return False
