@@ -1,12 +1,17 @@
 """Lookups and inserts of Midspan's transform buffer beside those of ROS 1's tf2 (tf2_py), each in a process of its own.
 
 Both have the same transforms and are asked the same questions, and take turns, round by round. tf2's messages are made
-beforehand for the inserts; its answers are messages, as its users get them. Each figure is the median over the rounds.
+beforehand for the inserts, but not where whole messages are taken up from their bytes, as a listener does; its answers
+are messages, as its users get them. Each figure is the median over the rounds.
+
+With ``--relay``: the latency of transforms between ROS 1 and ROS 2 at 1 kHz through the daemon, beside the floor of the
+same hops without it, as `benchmarks.topic_latency` measures it.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import math
 import random
@@ -15,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +37,7 @@ RATE = 100
 START = 1_000_000 * SECOND
 BATCH = 720
 LOOKUPS = 5_000
+RELAY_RATE = 1000
 
 Sample = tuple[str, str, int, tuple[float, float, float], tuple[float, float, float, float]]
 Measure = Callable[[], float]
@@ -66,13 +73,19 @@ def per_second(count: int, work: Callable[[], object]) -> float:
 def ours() -> dict[str, Measure]:
     """The cases with Midspan's buffer."""
     from bridge.tf.buffer import TransformBuffer  # the other side has none of this
+    from bridge.tf.stamped import Stamped, write
 
     told, times = samples(), stamps(LOOKUPS)
+    messages = [write([Stamped(*one) for one in told[at : at + FRAMES]]) for at in range(0, len(told), FRAMES)]
     buffer = TransformBuffer()
 
     def insert(into: TransformBuffer) -> None:
         for parent, child, stamp, moved, turned in told:
             into.set_transform(parent, child, stamp, moved, turned, "bench")
+
+    def hear(into: TransformBuffer) -> None:
+        for cdr in messages:
+            into.set_message(cdr, "bench")
 
     def lookup(frame: str) -> None:
         for stamp in times:
@@ -87,7 +100,7 @@ def ours() -> dict[str, Measure]:
             buffer.lookup_many("f0", frame, times[at : at + BATCH])
 
     insert(buffer)
-    return _measures(lambda: insert(TransformBuffer()), lookup, latest, batch)
+    return _measures(lambda: insert(TransformBuffer()), lambda: hear(TransformBuffer()), lookup, latest, batch)
 
 
 def tf2() -> dict[str, Measure]:
@@ -95,6 +108,7 @@ def tf2() -> dict[str, Measure]:
     import genpy  # the system's Python alone has these
     import tf2_py  # type: ignore[import-not-found]
     from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
+    from tf2_msgs.msg import TFMessage
 
     times = [genpy.Time(*divmod(stamp, SECOND)) for stamp in stamps(LOOKUPS)]
     told = []
@@ -104,12 +118,22 @@ def tf2() -> dict[str, Measure]:
         message.header.stamp = genpy.Time(*divmod(stamp, SECOND))
         message.transform.translation, message.transform.rotation = Vector3(*moved), Quaternion(*turned)
         told.append(message)
+    messages = []
+    for at in range(0, len(told), FRAMES):
+        content = io.BytesIO()
+        TFMessage(told[at : at + FRAMES]).serialize(content)
+        messages.append(content.getvalue())
     buffer = tf2_py.BufferCore(genpy.Duration(10.0))
     newest = genpy.Time()
 
     def insert(into: Any) -> None:
         for message in told:
             into.set_transform(message, "bench")
+
+    def hear(into: Any) -> None:
+        for content in messages:
+            for message in TFMessage().deserialize(content).transforms:
+                into.set_transform(message, "bench")
 
     def lookup(frame: str) -> None:
         for stamp in times:
@@ -124,16 +148,24 @@ def tf2() -> dict[str, Measure]:
             buffer.lookup_transform_core("f0", frame, stamp)
 
     insert(buffer)
-    return _measures(lambda: insert(tf2_py.BufferCore(genpy.Duration(10.0))), lookup, latest, batch)
+
+    def fresh() -> Any:
+        return tf2_py.BufferCore(genpy.Duration(10.0))
+
+    return _measures(lambda: insert(fresh()), lambda: hear(fresh()), lookup, latest, batch)
 
 
 def _measures(
     insert: Callable[[], None],
+    hear: Callable[[], None],
     lookup: Callable[[str], None],
     latest: Callable[[str], None],
     batch: Callable[[str], None],
 ) -> dict[str, Measure]:
-    cases: dict[str, Measure] = {"insert": lambda: per_second(FRAMES * SAMPLES, insert)}
+    cases: dict[str, Measure] = {
+        "insert": lambda: per_second(FRAMES * SAMPLES, insert),
+        f"insert by messages of {FRAMES}": lambda: per_second(FRAMES * SAMPLES, hear),
+    }
     whole = LOOKUPS // BATCH * BATCH
     for depth in (5, FRAMES):
         frame = f"f{depth}"
@@ -197,17 +229,38 @@ def compare(rounds: int) -> list[Row]:
     return [Row(f"{case}, tf2", one, two, "k/s", "more") for case, (one, two) in thousands.items()]
 
 
+def relay(rounds: int, *, realtime: bool) -> list[Row]:
+    """Transforms at 1 kHz between ROS 1 and ROS 2: the whole way beside the floor."""
+    from benchmarks.latency.cases import CASES
+    from benchmarks.latency.network import Network
+    from benchmarks.topic_latency import Samples
+
+    usual = next(case for case in CASES if case.key == "tf")
+    case = replace(usual, name=f"{usual.name} at {RELAY_RATE} Hz", rate=float(RELAY_RATE), count=5 * RELAY_RATE)
+    measured = Samples()
+    for number in range(rounds):
+        with Network([case], idle=0, busy=0, shared_memory=True) as network:
+            if realtime:
+                network.prefer()
+            measured.round(network, number)
+    print(f"{measured.hops_text([case])}\n{measured.lost} of {measured.sent} messages lost", file=sys.stderr)
+    return measured.rows([case], "")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=11, help="rounds of each case (default 11)")
+    parser.add_argument("--relay", action="store_true", help="measure the relay of transforms between ROS 1 and ROS 2")
+    parser.add_argument("--realtime", action="store_true", help="with --relay: as topic_latency.py has it")
     parser.add_argument("--side", choices=("ours", "tf2"), help=argparse.SUPPRESS)
     add_json_option(parser)
     options = parser.parse_args(arguments)
     if options.side:
         serve(options.side)
     else:
-        report(compare(options.rounds), options.json)
+        rows = relay(options.rounds, realtime=options.realtime) if options.relay else compare(options.rounds)
+        report(rows, options.json)
 
 
 if __name__ == "__main__":

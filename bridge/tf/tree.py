@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 
+from bridge.tf.reasons import seconds
 from bridge.tf.transform import FrameInfo
 
 
@@ -44,11 +45,11 @@ def as_yaml(frames: Iterable[FrameInfo]) -> str:
     As there, a static frame's times are 0 and its rate is 10000.
     """
     parts = [_yaml(info) for info in sorted(frames, key=lambda info: info.name)]
-    return "".join(parts) or "[]"
+    return "".join(parts) or "{}"
 
 
 def _yaml(info: FrameInfo) -> str:
-    newest, oldest = info.newest / 1e9, info.oldest / 1e9
+    newest, oldest = seconds(info.newest), seconds(info.oldest)
     fields = {
         "parent": _quoted(info.parent),
         "broadcaster": _quoted(info.authority or "no recorded authority"),

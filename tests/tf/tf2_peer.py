@@ -1,7 +1,8 @@
 """The real tf2 of ROS 1 (tf2_py) on the cases of `trees`; runs on the system's Python alone.
 
 Usage: tf2_peer.py SEED COUNT. Answers to standard output (marshal): for each question of all cases (stamp, x, y, z, qx,
-qy, qz, qw), else (name of the exception, its text). tf2 logs to standard error what it refuses.
+qy, qz, qw), else (name of the exception, its text); after each case all frames as YAML. tf2 logs to standard error what
+it refuses.
 """
 
 import marshal
@@ -46,6 +47,8 @@ def main():
                 (buffer.set_transform_static if step[6] else buffer.set_transform)(message, "peer")
             elif step[0] == "clear":
                 buffer.clear()
+            elif step[0] == "frames":
+                answers.append(buffer.all_frames_as_yaml())
             else:
                 answers.append(answer(buffer, step))
     sys.stdout.buffer.write(marshal.dumps(answers))

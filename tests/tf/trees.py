@@ -1,7 +1,7 @@
 """Random trees of frames and questions about them, the same in two processes; runs on the system's Python too.
 
 A case is a list of steps: ("set", parent, child, stamp in ns, translation, rotation, static), ("clear",),
-("ask", target, source, stamp) and ("full", target, target stamp, source, source stamp, fixed).
+("ask", target, source, stamp), ("full", target, target stamp, source, source stamp, fixed) and, last, ("frames",).
 """
 
 import math
@@ -84,7 +84,7 @@ def case(dice):
     if dice.random() < 0.03:
         steps += [("clear",), *sets(dice, names[:3])]
     stamps = [step[3] for step in steps if step[0] == "set" and step[3]] or [START]
-    return steps + [question(dice, names, stamps) for _ in range(5)]
+    return steps + [question(dice, names, stamps) for _ in range(5)] + [("frames",)]
 
 
 def cases(seed, count):

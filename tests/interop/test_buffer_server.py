@@ -1,0 +1,140 @@
+"""The buffer of frames, asked by the real tf2_ros.BufferClient of ROS 1 and by rclpy through the real daemon."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.server.buffer_server import ACTION, FRAMES, BufferServer
+from tests.interop.deployment import Deployment
+from tests.support.peer import Peer
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.wait import until
+
+CLIENT = Path(__file__).parents[1] / "tf" / "buffer_client.py"
+S = 1_000_000_000
+START = 1_790_000_000 * S
+SUCCEEDED = 4
+
+
+@pytest.fixture
+def buffer(running: Deployment) -> Iterator[TransformBuffer]:
+    """What a module serves: map to base moves at 1 m/s for 10 s, base to laser is fixed."""
+    loop = Loop("tf")
+    loop.start()
+    hub = Hub.open(running.settings("transform_server"))
+    node = Node(hub, Registry(), loop, SYSTEM)
+    made = TransformBuffer()
+    for n in range(101):
+        made.set_transform("map", "base", START + n * S // 10, (n / 10, 0, 0), (0.0, 0.0, 0.0, 1.0), "wheels")
+    made.set_transform("base", "laser", 0, (0, 2, 0), (0.0, 0.0, 0.6, 0.8), "urdf", static=True)
+    loop.call(lambda: BufferServer(node, made))
+    yield made
+    node.close()
+    loop.close()
+    hub.close()
+
+
+class Ros1:
+    """tf2_ros.BufferClient."""
+
+    def __init__(self, deployment: Deployment) -> None:
+        self._peer = deployment.keep(Peer(CLIENT, ROS1_PYTHON, deployment.master.env))
+        assert self._peer.ask("server", seconds=40)["there"], "there is no server"
+
+    def lookup(self, target: str, source: str, stamp: int, timeout: float = 0.0, **more: Any) -> tuple[Any, ...]:
+        """The pose, or the error and its text."""
+        found = self._peer.ask("lookup", target=target, source=source, stamp=stamp, timeout=timeout, **more)
+        return tuple(found["pose"]) if "pose" in found else (found["error"], found["text"])
+
+    def frames(self) -> str:
+        return str(self._peer.ask("frames")["yaml"])
+
+
+class Ros2:
+    """rclpy's action client, as tf2_ros.BufferClient of ROS 2 uses it, which has no wheel."""
+
+    ERRORS = ("", "LookupException", "ConnectivityException", "ExtrapolationException", "InvalidArgumentException")
+
+    def __init__(self, deployment: Deployment) -> None:
+        self._peer = deployment.ros2()
+
+    def lookup(self, target: str, source: str, stamp: int, timeout: float = 0.0, **more: Any) -> tuple[Any, ...]:
+        """The pose, or the error and its text."""
+        goal = {
+            "target_frame": target,
+            "source_frame": source,
+            "source_time": stamp_of(stamp),
+            "timeout": stamp_of(round(timeout * S)),
+        }
+        if more:
+            goal |= {"advanced": True, "target_time": stamp_of(more["target_stamp"]), "fixed_frame": more["fixed"]}
+        sent = self._peer.ask("send_goal", action=ACTION, type="tf2_msgs/LookupTransform", goal=goal)["id"]
+        state = self._peer.ask("goal", id=sent, until={"ends": 1}, seconds=30)
+        assert state["status"] == SUCCEEDED, state
+        result = state["result"]
+        if code := result["error"]["error"]:
+            return self.ERRORS[code], result["error"]["error_string"]
+        header, pose = result["transform"]["header"], result["transform"]["transform"]
+        moved, turned = pose["translation"], pose["rotation"]
+        at = header["stamp"]["sec"] * S + header["stamp"]["nanosec"]
+        return at, *(moved[k] for k in "xyz"), *(turned[k] for k in "xyzw")
+
+    def frames(self) -> str:
+        call = self._peer.ask("call", service=FRAMES, type="tf2_msgs/FrameGraph", request={}, seconds=40)["id"]
+        answer = self._peer.ask("result", id=call, seconds=30)
+        assert answer["done"], "tf2_frames does not answer"
+        return str(answer["reply"]["frame_yaml"])
+
+
+def stamp_of(ns: int) -> dict[str, int]:
+    return dict(zip(("sec", "nanosec"), divmod(ns, S), strict=True))
+
+
+def ask_all(client: Ros1 | Ros2, buffer: TransformBuffer) -> None:
+    """Everything that a BufferClient can ask."""
+    found = until(
+        lambda: (said := client.lookup("map", "laser", START + S // 4)) and len(said) == 8 and said,
+        "a goal goes through: what is sent during discovery may be lost", 60,
+    )  # fmt: skip
+    assert found == pytest.approx((START + S // 4, 0.25, 2, 0, 0, 0, 0.6, 0.8))
+    full = client.lookup("base", "base", START, target_stamp=START + S, fixed="map")
+    assert full == pytest.approx((START + S, -1, 0, 0, 0, 0, 0, 1))
+    assert client.lookup("map", "base", 0)[0] == START + 10 * S
+    for question, name, words in (
+        (("map", "nowhere", 0), "LookupException", "does not exist"),
+        (("map", "crater", 0), "ConnectivityException", "two or more unconnected trees"),
+        (("map", "base", START + 99 * S), "ExtrapolationException", "into the future"),
+        (("map", "", 0), "InvalidArgumentException", "cannot be empty"),
+    ):
+        said = client.lookup(*question)
+        assert said[0] == name
+        assert words in said[1]
+    began = time.monotonic()
+    assert client.lookup("map", "base", START + 99 * S, 0.5)[0] == "ExtrapolationException"
+    assert time.monotonic() - began >= 0.5
+    told = yaml.safe_load(client.frames())
+    assert told["base"] == buffer_says(buffer)
+
+
+def buffer_says(buffer: TransformBuffer) -> Any:
+    said = yaml.safe_load(buffer.yaml())["base"]
+    assert (said["parent"], said["broadcaster"], said["buffer_length"]) == ("map", "wheels", 10.0)
+    return said
+
+
+def test_buffer_clients_of_both_look_up_frames(running: Deployment, buffer: TransformBuffer) -> None:
+    buffer.set_transform("moon", "crater", 0, (0, 0, 0), (0.0, 0.0, 0.0, 1.0), static=True)
+    for client in (Ros1(running), Ros2(running)):
+        ask_all(client, buffer)
