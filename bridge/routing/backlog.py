@@ -73,6 +73,8 @@ class Backlog(Generic[Message]):
 
     def take(self, wanted: Callable[[Waiting[Message]], bool]) -> list[Waiting[Message]]:
         """Take out those that are wanted, in their order."""
+        if not self._line:
+            return []
         with self._lock:
             taken = [waiting for waiting in self._line if wanted(waiting)]
             gone = set(taken)

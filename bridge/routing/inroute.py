@@ -83,6 +83,7 @@ class InRoute(TopicRoute):
         self._static: StaticTransforms | None = None
         self._static_publisher: HubPublisher | None = None
         self._static_lock = threading.Lock()
+        self._followed: Sequence[Endpoint] | None = None
         self._pending = Backlog[tuple[bytes, int | None]](
             MAX_PENDING, QUEUE_BYTES, lambda: self.counters.dropped("queue")
         )
@@ -96,6 +97,10 @@ class InRoute(TopicRoute):
 
     def update(self, endpoints: Sequence[Endpoint]) -> None:
         """Follow the side's publishers of this topic; called by the engine's loop alone."""
+        if endpoints == self._followed:
+            self._flush_pending()
+            return
+        self._followed = None  # until all of it is done
         current = {e.id: e for e in endpoints}
         for gone in [s for s in self._sources if s not in current]:
             self._remove(gone)
@@ -108,6 +113,7 @@ class InRoute(TopicRoute):
         if endpoints:
             self._qos = joint_qos([e.qos for e in endpoints])
             self._subscribe()
+        self._followed = endpoints
         self._flush_pending()
 
     def _latched(self, endpoint: Endpoint) -> bool:

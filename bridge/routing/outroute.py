@@ -73,6 +73,7 @@ class OutRoute(TopicRoute):
         self.origin = origin
         self._joint = joint
         self._dispatcher = joint.small
+        self._followed: tuple[Sequence[HubEndpoint], ...] = ()
         self._sources: dict[bytes, _Source] = {}
         self._refused: frozenset[bytes] = frozenset()
         self._waiting: dict[bytes, HubEndpoint] = {}
@@ -101,6 +102,17 @@ class OutRoute(TopicRoute):
         ``waiting``: those that may pass later, once it is known who made them or agreed who carries them. What the
         latched ones say meanwhile comes only once, and is kept for then.
         """
+        followed = (allowed, refused, waiting)
+        if followed != self._followed:
+            self._followed = ()  # until all of it is done
+            self._follow(allowed, refused, waiting)
+            self._followed = followed
+        self._release_kept()
+        self._retry_pending()
+
+    def _follow(
+        self, allowed: Sequence[HubEndpoint], refused: Sequence[HubEndpoint], waiting: Sequence[HubEndpoint]
+    ) -> None:
         current = {e.gid: e for e in allowed}
         for gone in [g for g in self._sources if g not in current]:
             source = self._sources.pop(gone)
@@ -116,8 +128,6 @@ class OutRoute(TopicRoute):
         self._advertise()
         if allowed:
             self._subscribe(joint_qos([e.qos for e in allowed]))
-        self._release_kept()
-        self._retry_pending()
 
     def _is_latched(self, endpoint: HubEndpoint) -> bool:
         latched = self.decision.override(endpoint.qos).latched

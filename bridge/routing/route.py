@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.messages.conversion import Conversion
@@ -42,8 +41,7 @@ def stream_depth(definition: str) -> int:
     return BULK_DEPTH if _BYTES.search(definition) else STREAM_DEPTH
 
 
-@dataclass(frozen=True, slots=True)
-class RouteKey:
+class RouteKey(NamedTuple):
     """What makes two routes of one direction the same."""
 
     topic: str

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
@@ -16,6 +16,9 @@ ENTRY = "zenoh"
 """The hub as a destination: rules with ``to: zenoh`` hold where a topic enters the hub."""
 
 Kind = Literal["topic", "service", "action"]
+
+_MOST_DECIDED = 20_000
+"""Decisions that are kept at most."""
 
 _PARAMETERS, _EVENT = "rcl_interfaces/srv/", "rcl_interfaces/msg/ParameterEvent"
 _WITH_NODES = frozenset({"ros2", "zenoh_ros2dds"})
@@ -71,9 +74,22 @@ class RuleSet:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
         self._nodes = frozenset(rule.node for rule in section.parameters)
+        self._decided: dict[tuple[str, ...], Decision] = {}
 
     def enter(self, side: str, topic: str, type_name: str, kind: Kind = "topic") -> Decision:
         """May a topic, service or action of ``side`` enter the hub? ``type_name`` is the type's ROS 2 name."""
+        return self._once((side, topic, type_name, kind), lambda: self._enter(side, topic, type_name, kind))
+
+    def _once(self, question: tuple[str, ...], decide: Callable[[], Decision]) -> Decision:
+        """What was decided before; each look at a graph asks the same of all that is on it."""
+        decision = self._decided.get(question)
+        if decision is None:
+            if len(self._decided) >= _MOST_DECIDED:
+                self._decided.clear()
+            decision = self._decided[question] = decide()
+        return decision
+
+    def _enter(self, side: str, topic: str, type_name: str, kind: Kind) -> Decision:
         matches = list(self._matches(side, topic, type_name, kind))
         entry = [m for m in matches if m.rule.to in (None, ENTRY)]
         return (
@@ -93,6 +109,10 @@ class RuleSet:
         for others such rules were applied at their entry, and only deny, class and QoS hold here too. ``elsewhere``:
         another daemon let it in, whose rules are not these.
         """
+        question = (origin, side, topic, type_name, kind, "elsewhere" if elsewhere else "")
+        return self._once(question, lambda: self._leave(origin, side, topic, type_name, kind, elsewhere=elsewhere))
+
+    def _leave(self, origin: str, side: str, topic: str, type_name: str, kind: Kind, *, elsewhere: bool) -> Decision:
         matches = list(self._matches(origin, topic, type_name, kind))
         here = [m for m in matches if m.rule.to == side]
         general = [m for m in matches if m.rule.to is None]

@@ -67,5 +67,7 @@ class Actions:
 
 def split(name: str) -> tuple[str, str]:
     """An action's name and the part that this topic or service is of it; "" both where it is none."""
+    if _MIDDLE not in name:  # as of most names
+        return "", ""
     action, middle, part = name.rpartition(_MIDDLE)
     return (action, part) if middle and action and part in _ENDINGS | _COMMON else ("", "")

@@ -1,0 +1,130 @@
+"""What one look of an engine at both graphs costs beside many endpoints, when one of them has come or gone.
+
+Half of the endpoints are on the side (in memory), half on the hub (another session), each on a topic of its own; one
+more comes and goes on either. Each row's peer is the same beside 50 endpoints: a look that follows what changed costs
+no more beside thousands.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.adapters.base import MadeBy
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.qos import Qos
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.routing.engine import Engine
+from tests.support.fake import FakeEdge, FakeNetwork
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+TYPE = "std_msgs/msg/String"
+FEW = 50
+UP_SECONDS = 120.0
+
+
+class Beside:
+    """An engine between so many endpoints."""
+
+    def __init__(self, hubs: HubNetwork, count: int, registry: Registry) -> None:
+        self._network = FakeNetwork()
+        self._hash = registry.ros2(TYPE).type_id
+        self._other = Hub.open(hubs.settings("other"))
+        self._hub = Hub.open(hubs.settings("midspan"))
+        edge = FakeEdge(self._network, registry)
+        self._engine = Engine(edge, self._hub, RoutingSection(), "midspan", print, registry)
+        self.took: list[float] = []
+        self._time_looks()
+        for number in range(count // 2):
+            self._native(f"/side/t{number}")
+            self._other.publisher(f"/hub/t{number}", TYPE, self._hash, Qos())
+        self._engine.start()
+        until(lambda: len(self._engine.routes()) >= 2 * (count // 2), f"{count} endpoints have routes", UP_SECONDS)
+
+    def _native(self, topic: str) -> Callable[[], None]:
+        writer = self._network.write_on(topic, TYPE, Qos(), MadeBy.NATIVE, "/node")
+        return lambda: self._network.remove(writer)
+
+    def _time_looks(self) -> None:
+        look = self._engine._reconcile
+
+        def timed() -> None:
+            began = time.perf_counter()
+            look()
+            self.took.append(time.perf_counter() - began)
+
+        self._engine._reconcile = timed  # type: ignore[method-assign]
+
+    def _settle(self) -> None:
+        """Until nothing looks any more: what was seen by then is what changed next."""
+        while True:
+            before = len(self.took)
+            time.sleep(0.15)
+            if len(self.took) == before:
+                return
+
+    def change(self, times: int) -> list[float]:
+        """Seconds of each look after one endpoint came or went."""
+        self._settle()
+        self.took.clear()
+        for number in range(times):
+            gone = self._native(f"/more/s{number}")
+            self._settle()
+            gone()
+            publisher = self._other.publisher(f"/more/h{number}", TYPE, self._hash, Qos())
+            self._settle()
+            publisher.close()
+            self._settle()
+        return list(self.took)
+
+    def idle(self, times: int) -> list[float]:
+        """Seconds of each look after nothing changed."""
+        self._settle()
+        self.took.clear()
+        for _ in range(times):
+            self._engine.graph_changed()
+            self._settle()
+        return list(self.took)
+
+    def close(self) -> None:
+        """End both sessions."""
+        self._engine.stop()
+        self._hub.close()
+        self._other.close()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--endpoints", nargs="+", type=int, default=[500, 2000], metavar="N", help="beside how many")
+    parser.add_argument("--times", type=int, default=10, metavar="N", help="changes of each kind (%(default)s)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    registry, few, rows = Registry(), dict[tuple[str, str], float](), list[Row]()
+    for count in (FEW, *args.endpoints):
+        with HubNetwork() as hubs:
+            beside = Beside(hubs, count, registry)
+            try:
+                found = {"one changed": beside.change(args.times), "nothing changed": beside.idle(2 * args.times)}
+            finally:
+                beside.close()
+        for what, took in found.items():
+            cuts = statistics.quantiles(took, n=100, method="inclusive")
+            for figure, seconds in (("p50", cuts[49]), ("p99", cuts[98])):
+                peer = few.setdefault((what, figure), seconds)
+                rows.append(Row(f"{count} endpoints, {what}, {figure}", seconds * 1e3, peer * 1e3, "ms"))
+    report(rows, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
