@@ -33,6 +33,8 @@ VERBS: dict[str, Verb] = {
     "service": Verb("bridge.cli.service", "list, info and call on any side's services"),
     "action": Verb("bridge.cli.action", "list, info and send on any side's actions"),
     "tf": Verb("bridge.cli.tf", "list, tree, echo and monitor of frames"),
+    "map": Verb("bridge.cli.map", "list, show, import, export, edit-flags and use of the stored maps"),
+    "location": Verb("bridge.cli.location", "list, add, remove and export of the stored locations"),
     "teleop": Verb("bridge.cli.teleop", "drive a base by the keyboard"),
     "halt": Verb("bridge.cli.halt", "zero velocity on every side, and all goals cancelled"),
     "yarp": Verb("bridge.cli.yarp", "look at and use a YARP network, as YARP's own tool does"),

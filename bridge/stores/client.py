@@ -38,9 +38,14 @@ class StoreClient:
             raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")
         _, self.daemon, self._zid = copies[0]
 
+    def keys(self) -> set[tuple[str, str]]:
+        """Kind and name of every value."""
+        answer = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}")
+        return {(kind, name) for kind, name, _, _, size in answer.get("entries", []) if size}
+
     def names(self, kind: Kind[Any]) -> list[str]:
         """The names of a kind's values, sorted."""
-        return sorted(name for each, name in self._keys() if each == kind.name)
+        return sorted(name for each, name in self.keys() if each == kind.name)
 
     def get(self, kind: Kind[T], name: str) -> T | None:
         """A value, None where there is none."""
@@ -77,11 +82,6 @@ class StoreClient:
         if name not in names:
             raise StoreError(f"there is no map {name!r}; those that are: {', '.join(names) or 'none'}")
         self.write([Write(CURRENT, THE_MAP, name)])
-
-    def _keys(self) -> list[tuple[str, str]]:
-        """All keys that have a value."""
-        answer = json.loads(self._ask("digest", "", b"{}")[0].body or b"{}")
-        return [(kind, name) for kind, name, _, _, size in answer.get("entries", []) if size]
 
     def _fetch(self, kind: Kind[T], names: Sequence[str]) -> dict[str, T]:
         if not names:

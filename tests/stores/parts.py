@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from bridge.hub.session import Hub, HubSettings
 from bridge.stores.replica import Limits, Replica
@@ -20,25 +20,27 @@ class Shared:
         folder: where its file is.
         name: the daemon's.
         router: endpoint that its session connects to, None for none.
-        listen: where its session listens besides.
+        limits: what it holds at most.
+        domain: the hub's.
     """
 
-    def __init__(self, folder: Path, name: str, router: str | None, limits: Limits | None = None, **zenoh: Any) -> None:
-        self.name = name
+    def __init__(
+        self, folder: Path, name: str, router: str | None, limits: Limits | None = None, domain: int = 0
+    ) -> None:
+        self.name, self.domain = name, domain
         self.replica = Replica(folder / f"{name}.sqlite", name, limits)
         self.store = Store(self.replica)
         self.share: Share | None = None
         self.hub: Hub | None = None
-        self.zenoh = zenoh
         if router is not None:
             self.join(router)
 
     def join(self, router: str) -> None:
         """Join a hub."""
         self.hub = Hub.open(
-            HubSettings(router=router, node=f"store_{self.name}", daemon=self.name, worker="store", zenoh=self.zenoh)
+            HubSettings(self.domain, router, node=f"store_{self.name}", daemon=self.name, worker="store")
         )
-        self.share = Share(self.replica, self.hub.keyspace(prefix(0)), self.hub.zid)
+        self.share = Share(self.replica, self.hub.keyspace(prefix(self.domain)), self.hub.zid)
 
     def leave(self) -> None:
         """Leave the hub; the store goes on alone."""

@@ -134,6 +134,35 @@ def test_a_deletion_reaches_who_was_away(hub: QuickHub, tmp_path: Path) -> None:
         assert two.replica.status()["conflicts"] == 0
 
 
+def test_what_hears_all_puts_and_deletes_holds_the_same(hub: QuickHub, tmp_path: Path) -> None:
+    """As zenohd's storage manager does: by key, the latest timestamp."""
+    held: dict[str, tuple[int, str, bytes | None]] = {}
+
+    def keep(sample: zenoh.Sample) -> None:
+        ns, writer = sample.timestamp.get_time_as_ntp64().as_nanos(), bytes(sample.timestamp.get_id()).hex()
+        body = sample.payload.to_bytes() if sample.kind == zenoh.SampleKind.PUT else None
+        key = str(sample.key_expr).removeprefix("midspan/store/0/")
+        if key not in held or held[key][:2] < (ns, writer):
+            held[key] = ns, writer, body
+
+    with (
+        Shared(tmp_path, "one", hub.endpoint) as one,
+        Shared(tmp_path, "two", hub.endpoint) as two,
+        plain(hub) as session,
+        session.declare_subscriber("midspan/store/**", keep),
+    ):
+        all_joined(one, two)
+        until(lambda: one.store.put(LOCATION, "a", KITCHEN) or held, "it hears", SECONDS)
+        two.store.put(LOCATION, "b", KITCHEN)
+        one.store.put(MAP, "m1", grid())
+        until(lambda: same(one, two), "both are alike", SECONDS)
+        two.store.delete(LOCATION, "a")
+        until(lambda: len(held) == 3 and same(one, two) and held["location/a"][2] is None, "all came", SECONDS)
+        for (kind, name), (stamp, _) in one.replica.versions().items():
+            entry = one.replica.entry(kind, name)
+            assert held[f"{kind}/{name}"] == (stamp.ns, stamp.replica, entry.body if entry else None)
+
+
 def test_any_zenoh_program_reads_and_writes(hub: QuickHub, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with Shared(tmp_path, "one", hub.endpoint) as one, plain(hub) as session:
         one.store.put(LOCATION, "kitchen", KITCHEN)

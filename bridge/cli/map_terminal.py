@@ -1,0 +1,151 @@
+"""A map in the terminal: two cells of the picture to a character, in colours where the terminal has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.style import Style
+from rich.text import Text
+
+from bridge.cli.map_picture import AREA_COLOUR, LOCATION_COLOUR, colours, heading
+from bridge.cli.text import clean
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+_RANK = {
+    MapFlag.UNKNOWN: 0,
+    MapFlag.FREE: 1,
+    MapFlag.ENLARGED_OBSTACLE: 2,
+    MapFlag.TEMPORARY_OBSTACLE: 3,
+    MapFlag.KEEP_OUT: 4,
+    MapFlag.WALL: 5,
+}
+"""Which of the cells that one dot stands for is shown: a thin wall is not lost."""
+
+_LETTERS = {
+    MapFlag.UNKNOWN: "?",
+    MapFlag.FREE: " ",
+    MapFlag.ENLARGED_OBSTACLE: "+",
+    MapFlag.TEMPORARY_OBSTACLE: "t",
+    MapFlag.KEEP_OUT: "x",
+    MapFlag.WALL: "#",
+}
+_ARROWS = "→↗↑↖←↙↓↘"
+_MARKS = "abcdefghijklmnopqrstuvwxyz"
+
+
+def lines(
+    grid: MapGrid2D,
+    locations: Mapping[str, Map2DLocation],
+    areas: Mapping[str, Map2DArea],
+    width: int,
+    *,
+    coloured: bool,
+) -> list[Text]:
+    """The map's lines, and below them what the marks on it are.
+
+    Args:
+        grid: the map.
+        locations: those on it: an arrow each, with a letter at its side.
+        areas: those on it: dots on their outline.
+        width: columns that there are.
+        coloured: half blocks in colours; else a letter for each flag.
+    """
+    step = max(1, math.ceil(grid.width() / width))
+    shown = _reduced(grid, step)
+    chosen = _chosen(colours(grid), grid, shown)
+    marks = _area_marks(grid, areas, step) | _location_marks(grid, locations, step)
+    found = []
+    for row in range(0, shown.shape[0], 2):
+        line = Text()
+        for column in range(shown.shape[1]):
+            mark = marks.get((row // 2, column))
+            flags = [grid.flags.reshape(-1)[shown[at, column]] for at in range(row, min(row + 2, shown.shape[0]))]
+            if coloured:
+                dots = [chosen[at, column] for at in range(row, min(row + 2, shown.shape[0]))]
+                line.append_text(_dots(dots, mark))
+            else:
+                flag = max((MapFlag(int(each)) for each in flags), key=_RANK.__getitem__)
+                line.append(mark[0] if mark else _LETTERS[flag])
+        found.append(line if coloured else Text(line.plain.rstrip()))
+    return [*found, *_legend(grid, locations, areas, coloured=coloured)]
+
+
+def _reduced(grid: MapGrid2D, step: int) -> NDArray[np.intp]:
+    """The cell (as a flat index) that each dot of ``step`` by ``step`` cells shows."""
+    height, width = math.ceil(grid.height() / step), math.ceil(grid.width() / step)
+    table = np.array([_RANK[flag] for flag in MapFlag], np.int8)
+    rank = np.full((height * step, width * step), -1, np.int8)
+    rank[: grid.height(), : grid.width()] = table[grid.flags]
+    blocks = rank.reshape(height, step, width, step).swapaxes(1, 2).reshape(height, width, step * step)
+    rows, columns = np.divmod(blocks.argmax(axis=2), step)
+    rows = rows + np.arange(height)[:, None] * step
+    columns = columns + np.arange(width)[None, :] * step
+    found: NDArray[np.intp] = rows * grid.width() + columns
+    return found
+
+
+def _chosen(picture: NDArray[np.uint8], grid: MapGrid2D, shown: NDArray[np.intp]) -> NDArray[np.uint8]:
+    found: NDArray[np.uint8] = picture.reshape(grid.width() * grid.height(), 3)[shown]
+    return found
+
+
+def _dots(dots: list[NDArray[np.uint8]], mark: tuple[str, tuple[int, int, int]] | None) -> Text:
+    upper, lower = dots[0], dots[-1]
+    if mark is not None:
+        return Text(mark[0], Style(color=_rgb(mark[1]), bgcolor=_rgb(upper), bold=True))
+    return Text("▀", Style(color=_rgb(upper), bgcolor=_rgb(lower) if len(dots) > 1 else None))
+
+
+def _rgb(colour: object) -> str:
+    red, green, blue = (int(part) for part in colour)  # type: ignore[attr-defined]
+    return f"rgb({red},{green},{blue})"
+
+
+Marks = dict[tuple[int, int], tuple[str, tuple[int, int, int]]]
+
+
+def _location_marks(grid: MapGrid2D, locations: Mapping[str, Map2DLocation], step: int) -> Marks:
+    marks: Marks = {}
+    for number, place in enumerate(locations.values()):
+        column, row = np.clip(grid.in_cells((place.x, place.y)) / step, -1e6, 1e6)
+        right, down = heading(grid, place)
+        arrow = _ARROWS[round(math.atan2(-down, right) / (math.pi / 4)) % 8]
+        at = (int(row // 2), int(column))
+        marks[at] = (arrow, LOCATION_COLOUR)
+        marks[at[0], at[1] + 1] = (_MARKS[number % len(_MARKS)], LOCATION_COLOUR)
+    return marks
+
+
+def _area_marks(grid: MapGrid2D, areas: Mapping[str, Map2DArea], step: int) -> Marks:
+    marks: Marks = {}
+    size = np.array([grid.width(), grid.height()]) / step
+    for area in areas.values():
+        corners = grid.in_cells([(point.x, point.y) for point in area.points] or np.zeros((0, 2))) / step
+        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            # no more dots than a map could show, however far a corner is
+            count = int(min(2 * np.abs(end - start).max() + 2, 4 * size.sum()))
+            for column, row in start + np.linspace(0, 1, count)[:, None] * (end - start):
+                if 0 <= column < size[0] and 0 <= row < size[1]:
+                    marks[int(row // 2), int(column)] = ("·", AREA_COLOUR)
+    return marks
+
+
+def _legend(
+    grid: MapGrid2D,
+    locations: Mapping[str, Map2DLocation],
+    areas: Mapping[str, Map2DArea],
+    *,
+    coloured: bool,
+) -> list[Text]:
+    there = [flag for flag in MapFlag if (grid.flags == flag).any()]
+    words = [flag.name.lower().replace("_", " ") for flag in there]
+    found = [] if coloured else [Text(", ".join(f"'{_LETTERS[f]}' {w}" for f, w in zip(there, words, strict=True)))]
+    for number, (name, place) in enumerate(locations.items()):
+        mark = _MARKS[number % len(_MARKS)]
+        found.append(Text(f"{mark} {clean(name)}: {place.x:g}, {place.y:g} m, {place.theta:g} degrees"))
+    found += [Text(f"· {clean(name)}: area of {len(area.points)} corners") for name, area in areas.items()]
+    return found
