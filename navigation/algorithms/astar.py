@@ -77,20 +77,26 @@ def astar(weights: Weights, start: tuple[int, int], goal: tuple[int, int]) -> Wa
     kind = np.int32 if rows * columns * heaviest * DIAGONAL < 2**31 - 1 else np.int64
     costs = np.full(padded.size, np.iinfo(kind).max, kind)
     came = np.empty(padded.size, np.uint8)
-    cost = _compiled(kind)(padded.reshape(-1), wide, here, there, heaviest, costs, came)
+    search, track = _compiled(kind)
+    cost = search(padded.reshape(-1), wide, here, there, heaviest, costs, came)
     if cost < 0:
         return None
-    track = np.array(_track(came, wide, here, there))
-    return Way((np.stack(np.divmod(track, wide), axis=1) - 1).astype(np.int32), cost / STRAIGHT)
+    return Way(track(came, wide, here, there), cost / STRAIGHT)
 
 
-def _track(came: NDArray[np.uint8], wide: int, start: int, goal: int) -> list[int]:
+def _track(came: NDArray[np.uint8], wide: int, start: int, goal: int) -> Cells:
     """The cells from the start to the goal, by the steps with which each was entered."""
-    offsets = (1, -1, wide, -wide, wide + 1, wide - 1, 1 - wide, -wide - 1)
-    cells = [goal]
-    while cells[-1] != start:
-        cells.append(cells[-1] - offsets[came[cells[-1]]])
-    cells.reverse()
+    offsets = np.array((1, -1, wide, -wide, wide + 1, wide - 1, 1 - wide, -wide - 1))
+    cell, count = goal, 1
+    while cell != start:
+        cell -= offsets[came[cell]]
+        count += 1
+    cells = np.empty((count, 2), np.int32)
+    cell = goal
+    for place in range(count - 1, -1, -1):
+        cells[place, 0], cells[place, 1] = cell // wide - 1, cell % wide - 1
+        if place:
+            cell -= offsets[came[cell]]
     return cells
 
 
@@ -168,9 +174,11 @@ def _search(
 
 
 @cache
-def _compiled(kind: Any) -> Any:
+def _compiled(kind: Any) -> tuple[Any, Any]:
     def array(of: Any) -> Any:
         return numba.types.Array(numba.from_dtype(np.dtype(of)), 1, "C")
 
-    signature = numba.int64(array(np.uint8), *[numba.int64] * 4, array(kind), array(np.uint8))
-    return compiled(_search, signature, [Path(__file__)], nogil=True)
+    here, size = [Path(__file__)], numba.int64
+    search = size(array(np.uint8), *[size] * 4, array(kind), array(np.uint8))
+    track = numba.types.Array(numba.int32, 2, "C")(array(np.uint8), *[size] * 3)
+    return compiled(_search, search, here, nogil=True), compiled(_track, track, here, nogil=True)

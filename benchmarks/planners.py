@@ -1,0 +1,234 @@
+"""Ways on grids: Midspan's A* beside scipy, w9-pathfinding and pyastar2d, with and without building the peer's graph.
+
+The optimum without cutting corners is w9-pathfinding's and scipy's; pyastar2d counts a diagonal as one and cuts
+corners, so its way is another one. Peers that are not installed are left out, and named: ``pip install scipy
+w9-pathfinding pyastar2d``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from navigation.algorithms.astar import astar
+from navigation.algorithms.shortcut import shortcut
+
+Grid = NDArray[np.uint8]
+Cell = tuple[int, int]
+SIZES = (500, 1000, 4000)
+MAPS = ("rooms", "maze", "random20", "random30")
+PEERS = {"scipy": "scipy.sparse.csgraph", "w9-pathfinding": "w9_pathfinding.pf", "pyastar2d": "pyastar2d"}
+
+
+class Found(NamedTuple):
+    """What a planner did: seconds for its graph, seconds for the way, the way's length in cells."""
+
+    build: float
+    search: float
+    length: float
+
+
+def rooms(size: int) -> Grid:
+    """Ten by ten rooms, each with a door to each neighbour."""
+    dice = random.Random(1)
+    grid = np.ones((size, size), np.uint8)
+    step = size // 10
+    walls = range(step, size - 1, step)
+    for wall in walls:
+        grid[wall, :] = grid[:, wall] = 0
+    for wall in walls:
+        for begin in range(0, size, step):
+            for line in (grid[wall], grid[:, wall]):
+                door = begin + dice.randrange(2, step - 4)
+                line[door : door + 3] = 1
+    return grid
+
+
+def maze(size: int) -> Grid:
+    """A perfect maze with corridors of three cells, carved depth first."""
+    dice = random.Random(2)
+    count = (size - 1) // 4
+    grid = np.zeros((size, size), np.uint8)
+    seen = np.zeros((count, count), bool)
+    stack = [(0, 0)]
+    seen[0, 0] = True
+    while stack:
+        row, column = stack[-1]
+        grid[4 * row + 1 : 4 * row + 4, 4 * column + 1 : 4 * column + 4] = 1
+        ways = [
+            (row + down, column + right)
+            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0))
+            if 0 <= row + down < count and 0 <= column + right < count and not seen[row + down, column + right]
+        ]
+        if not ways:
+            stack.pop()
+            continue
+        there = dice.choice(ways)
+        seen[there] = True
+        top, left = 4 * min(row, there[0]) + 1, 4 * min(column, there[1]) + 1
+        bottom, right = 4 * max(row, there[0]) + 4, 4 * max(column, there[1]) + 4
+        grid[top:bottom, left:right] = 1
+        stack.append(there)
+    return grid
+
+
+def scattered(size: int, share: float) -> Grid:
+    """Obstacles at random, none near the two ends."""
+    grid = (np.random.default_rng(3).random((size, size)) >= share).astype(np.uint8)
+    grid[:4, :4] = grid[-6:, -6:] = 1
+    return grid
+
+
+def ends(name: str, size: int) -> tuple[Cell, Cell]:
+    """Opposite corners."""
+    last = 4 * ((size - 1) // 4) - 2 if name == "maze" else size - 3
+    return (2, 2), (last, last)
+
+
+def made(name: str, size: int) -> Grid:
+    """A map by its name."""
+    if name.startswith("random"):
+        return scattered(size, int(name.removeprefix("random")) / 100.0)
+    return rooms(size) if name == "rooms" else maze(size)
+
+
+def ours(grid: Grid, start: Cell, goal: Cell) -> Found:
+    """Midspan's: there is no graph to build."""
+    begin = time.perf_counter()
+    way = astar(grid, start, goal)
+    seconds = time.perf_counter() - begin
+    return Found(0.0, seconds, math.nan if way is None else way.length)
+
+
+def by_scipy(grid: Grid, start: Cell, goal: Cell) -> Found:
+    """Dijkstra on a sparse matrix, without cut corners."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    begin = time.perf_counter()
+    rows, columns = grid.shape
+    number = np.arange(grid.size).reshape(grid.shape)
+    free = grid > 0
+    sources, targets, costs = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        here = (slice(0, rows - down), slice(max(0, -right), columns - max(0, right)))
+        there = (slice(down, rows), slice(max(0, right), columns + min(0, right)))
+        open_ = free[here] & free[there]
+        if down and right:
+            open_ &= free[here[0], there[1]] & free[there[0], here[1]]
+        sources.append(number[here][open_])
+        targets.append(number[there][open_])
+        costs.append(np.full(int(open_.sum()), math.hypot(down, right)))
+    graph = csr_matrix(
+        (np.concatenate(costs), (np.concatenate(sources), np.concatenate(targets))), shape=(grid.size, grid.size)
+    )
+    built = time.perf_counter()
+    distances = dijkstra(graph, directed=False, indices=number[start])
+    return Found(built - begin, time.perf_counter() - built, float(distances[number[goal]]))
+
+
+def by_w9(grid: Grid, start: Cell, goal: Cell) -> Found:
+    """A* in C++, without cut corners."""
+    from w9_pathfinding.envs import DiagonalMovement
+    from w9_pathfinding.envs import Grid as Environment
+    from w9_pathfinding.pf import AStar
+
+    begin = time.perf_counter()
+    env: Any = Environment(
+        np.where(grid > 0, grid.astype(float), -1.0).tolist(),
+        diagonal_movement=DiagonalMovement.only_when_no_obstacle,
+        diagonal_movement_cost_multiplier=math.sqrt(2.0),
+    )
+    finder = AStar(env)
+    built = time.perf_counter()
+    way = finder.find_path(start[::-1], goal[::-1])
+    return Found(built - begin, time.perf_counter() - built, length(way))
+
+
+def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
+    """A* in C++; a diagonal counts as one, and corners are cut."""
+    import pyastar2d
+
+    begin = time.perf_counter()
+    weights = np.where(grid > 0, grid, np.inf).astype(np.float32)
+    built = time.perf_counter()
+    way = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
+    return Found(built - begin, time.perf_counter() - built, length(way))
+
+
+def length(way: Any) -> float:
+    """Of a way of cells, a diagonal being the square root of two."""
+    steps = np.abs(np.diff(np.asarray(way), axis=0)).sum(axis=1)
+    return float((steps == 1).sum() + math.sqrt(2.0) * (steps == 2).sum())
+
+
+def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
+    """Seconds for a way and its waypoints."""
+    begin = time.perf_counter()
+    way = astar(grid, start, goal)
+    assert way is not None
+    shortcut(grid, way.cells)
+    return time.perf_counter() - begin
+
+
+def measured(sizes: list[int], rounds: int, peers: dict[str, Callable[..., Found]]) -> Iterator[Row]:
+    """All rows: the best of some rounds of each, in turns."""
+    for size in sizes:
+        for name in MAPS:
+            grid, (start, goal) = made(name, size), ends(name, size)
+            ours(grid, start, goal)  # compiled
+            smoothed(grid, start, goal)
+            found = {who: [plan(grid, start, goal) for _ in range(1)] for who, plan in peers.items()}
+            own = [ours(grid, start, goal)]
+            whole = [smoothed(grid, start, goal)]
+            for _ in range(rounds - 1):
+                own.append(ours(grid, start, goal))
+                whole.append(smoothed(grid, start, goal))
+                for who, plan in peers.items():
+                    found[who].append(plan(grid, start, goal))
+            mine = min(one.search for one in own)
+            for who, all_ in found.items():
+                search = min(one.search for one in all_)
+                built = min(one.build + one.search for one in all_)
+                yield Row(f"{name} {size}, {who}", 1e3 * mine, 1e3 * search, "ms")
+                yield Row(f"{name} {size}, {who} with its graph", 1e3 * mine, 1e3 * built, "ms")
+                yield Row(f"{name} {size}, length beside {who}", own[0].length, all_[0].length, "cells")
+            yield Row(f"{name} {size}, with waypoints beside without", 1e3 * min(whole), 1e3 * mine, "ms")
+
+
+def main() -> int:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES), metavar="CELLS")
+    parser.add_argument("--rounds", type=int, default=3)
+    add_json_option(parser)
+    args = parser.parse_args()
+    planners = {"scipy": by_scipy, "w9-pathfinding": by_w9, "pyastar2d": by_pyastar2d}
+    peers: dict[str, Callable[..., Found]] = {}
+    for name, module in PEERS.items():
+        try:
+            importlib.import_module(module)
+        except ImportError:
+            print(f"{name} is not installed: pip install {name}", file=sys.stderr)
+        else:
+            peers[name] = planners[name]
+    report(list(measured(args.sizes, max(1, args.rounds), peers)), args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
