@@ -34,7 +34,7 @@ from bridge.stores.wire import BUCKETS, bucket, digests, entry_of, item_of, key_
 
 _log = logging.getLogger(__name__)
 
-PERIOD = 30.0
+PERIOD = 10.0
 """Seconds after which a replica compares itself with the others, though nothing told it to."""
 
 _AGAIN = 1.0

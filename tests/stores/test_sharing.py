@@ -152,8 +152,12 @@ def test_what_hears_all_puts_and_deletes_holds_the_same(hub: QuickHub, tmp_path:
         session.declare_subscriber("midspan/store/**", keep),
     ):
         all_joined(one, two)
-        until(lambda: one.store.put(LOCATION, "a", KITCHEN) or held, "it hears", SECONDS)
-        two.store.put(LOCATION, "b", KITCHEN)
+        for each, name in ((one, "a"), (two, "b")):  # again, until the way to the listener is known
+            until(
+                lambda each=each, name=name: each.store.put(LOCATION, name, KITCHEN) or f"location/{name}" in held,
+                "it hears",
+                SECONDS,
+            )
         one.store.put(MAP, "m1", grid())
         until(lambda: same(one, two), "both are alike", SECONDS)
         two.store.delete(LOCATION, "a")

@@ -1,0 +1,102 @@
+"""The store of the modules' worker: opened where it is wanted, told in the status, given to modules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.config.sections.section import Section
+from bridge.daemon.workers import worker_kinds
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.modules.worker import ModulesWorker
+from bridge.stores.kinds import LOCATION
+from bridge.stores.service import StoreService
+from tests.modules.place import Place
+from tests.stores.test_store import KITCHEN
+from tests.support.wait import until
+
+OWN = {"name": "keeper", "factory": "tests.stores.test_service:Keeper"}
+
+
+class Keeper(Module):
+    """Says in its status what it heard of the store."""
+
+    name: ClassVar[str] = "keeper"
+
+    def start(self, host: Host, section: Section) -> None:  # noqa: ARG002
+        self._heard: list[str] = []
+        store = host.store
+        self._close = store.watch(lambda change: host.loop.post(lambda: self._heard.append(change.name)))
+        store.put(LOCATION, "kitchen", KITCHEN)
+
+    def status(self) -> dict[str, Any]:
+        return {"heard": list(self._heard)}
+
+    def stop(self) -> None:
+        self._close()
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as found:
+        yield found
+
+
+def test_a_module_has_the_store_and_the_status_tells_of_it(place: Place) -> None:
+    place.worker.start(place.config(OWN))
+    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module hears", 20)
+    status = until(lambda: place.status("store"), "the store tells of itself", 20)
+    assert status["text"] == "1 location; shared with no other"
+    assert status["store"]["keys"] == {"location": 1}
+    assert (place.folder / "here" / "store.sqlite").exists()
+
+
+def test_a_store_without_any_module(place: Place) -> None:
+    config = place.config(store={"enabled": True})
+    assert worker_kinds()["modules"].enabled(config)
+    assert not worker_kinds()["modules"].enabled(place.config())
+    place.worker.start(config)
+    assert (place.worker.health().state, place.worker.health().text) == ("running", "store")
+    until(lambda: place.status("store"), "the store is there", 20)
+
+
+def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
+    place.worker.start(place.config(OWN, store={"enabled": False}))
+    health = place.worker.health()
+    assert (health.state, health.text) == ("waiting", "keeper: waiting the store is switched off (store.enabled)")
+    place.worker.stop()
+    config = place.config(store={"enabled": True})
+    holder = StoreService(config)
+    assert holder.trouble() == ""
+    try:
+        other = ModulesWorker()
+        other.start(config)
+        health = other.health()
+        assert health.state == "waiting"
+        assert "in use by another process" in health.text
+    finally:
+        holder.close()
+    assert other.health().state == "running"
+    other.stop()
+
+
+def test_a_module_that_runs_alone_has_a_copy_of_its_own(place: Place) -> None:
+    config = place.config(OWN, store={"enabled": True})
+    daemon = StoreService(config.model_copy(update={"modules": Config().modules}))
+    alone = ModulesWorker("keeper")
+    try:
+        store = daemon.store
+        alone.start(config)
+        until(lambda: store.names(LOCATION) == ["kitchen"], "what the module wrote is there", 20)
+    finally:
+        alone.stop()
+        daemon.close()
+    assert {file.name for file in (place.folder / "here").glob("store*.sqlite")} == {
+        "store.sqlite",
+        "store-keeper.sqlite",
+    }
