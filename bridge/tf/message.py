@@ -15,9 +15,6 @@ from bridge.tf.rotation import jit
 _WORD = numba.int64
 _HEADER = 4
 _LITTLE_ENDIAN = b"\0\1"
-_SMALLEST = 8 + 2 * 4 + 8 * POSE
-"""Bytes of a transform at least: its stamp, two empty names, its pose."""
-
 _SPAN = 5
 _FIRST_ROOM = 256
 
@@ -54,8 +51,6 @@ def _read(source: int, size: int, spans: int, poses: int, room: int) -> int:
     if size < 4:
         return -1
     count = load32(source)
-    if count * _SMALLEST > size - 4:
-        return -1
     at = 4
     for n in range(count):
         at = (at + 3) & ~3

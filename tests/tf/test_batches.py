@@ -91,6 +91,15 @@ def test_what_is_no_message_is_told_and_changes_nothing() -> None:
     assert buffer.lookup_transform("map", "base", START).translation == (2, 4, 6)
 
 
+def test_messages_make_a_whole_history() -> None:
+    buffer = TransformBuffer()
+    for n in range(300):
+        assert buffer.set_message(message([("map", "base", START + n * S // 100, (n, 0, 0), UNIT)])) == [None]
+    assert buffer.frames()[0].samples == 300
+    found = buffer.lookup_many("map", "base", [START + n * S // 100 for n in range(300)])
+    assert found.translations[:, 0].tolist() == list(range(300))
+
+
 def test_large_messages_and_odd_ones() -> None:
     buffer = TransformBuffer()
     many = [("base", f"link{n}", START, (n, 0, 0), UNIT) for n in range(1000)]
