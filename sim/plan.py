@@ -109,8 +109,10 @@ class Floor(Section):
         """The least and greatest x and y of all walls and what stands fast, metres: x0, y0, x1, y1."""
         points = [p for wall in self.walls for p in wall] + [p for door in self.doors for p in door.line]
         for box in self.boxes:
-            reach = math.hypot(box.size[0], box.size[1]) / 2
-            points += [(box.at[0] - reach, box.at[1] - reach), (box.at[0] + reach, box.at[1] + reach)]
+            (x, y, degrees), (length, width, _) = box.at, box.size
+            c, s = abs(math.cos(math.radians(degrees))), abs(math.sin(math.radians(degrees)))
+            reach = (c * length + s * width) / 2, (s * length + c * width) / 2
+            points += [(x - reach[0], y - reach[1]), (x + reach[0], y + reach[1])]
         for thing in self.rounds:
             points += [(thing.at[0] + s * thing.radius, thing.at[1] + s * thing.radius) for s in (-1, 1)]
         points = points or [(-5.0, -5.0), (5.0, 5.0)]

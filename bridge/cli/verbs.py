@@ -25,6 +25,7 @@ VERBS: dict[str, Verb] = {
     "run": Verb("bridge.cli.run", "run the daemon: start, watch and restart the workers"),
     "worker": Verb("bridge.cli.worker", "run one worker alone, also on another machine"),
     "module": Verb("bridge.cli.module", "run one hosted module alone, also on another machine"),
+    "sim": Verb("bridge.cli.sim", "run the simulated base alone; make maps and pictures of floor plans"),
     "status": Verb("bridge.cli.status", "show daemons, workers and routes"),
     "top": Verb("bridge.cli.top", "live table of all routes"),
     "explain": Verb("bridge.cli.explain", "say why a topic is or is not bridged"),

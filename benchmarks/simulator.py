@@ -1,0 +1,138 @@
+"""What the simulator costs: the base with a laser among more and more walls, beside the bare base; the laser's scans.
+
+The peer of the real-time factor is the bare loop of `World.step` of the same base on an empty floor, driven the same;
+that of the laser is DART's own ray cast (with Bullet) on the same walls.
+
+    python benchmarks/simulator.py [--json FILE] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.config.sections.sim import LaserSection, SimSection
+from sim import bodies
+from sim.base import STEP_NS, Twist
+from sim.dart import dartpy
+from sim.laser_kernel import cast
+from sim.plan import Box, Floor, Plan
+from sim.simulation import Simulation
+
+BEAMS = 1600
+WALLS = (50, 500, 2000)
+_TURN = 0.4
+
+
+def plan(count: int) -> Plan:
+    """So many walls on a floor that grows with them, with room to drive a circle in the middle."""
+    rng = np.random.default_rng(count)
+    half = 10.0 * math.sqrt(count / 50)
+    boxes: list[Box] = []
+    while len(boxes) < count:
+        x, y = rng.uniform(-half, half, 2)
+        if math.hypot(x, y) > 1.8:
+            degrees = float(rng.choice([0.0, 90.0]))
+            boxes.append(Box(at=(float(x), float(y), degrees), size=(float(rng.uniform(0.5, 2)), 0.1, 2.0)))
+    return Plan(name="walls", floors={"walls": Floor(boxes=tuple(boxes))})
+
+
+def simulation(count: int) -> Simulation:
+    """The base with a laser of 1,600 beams at 10 Hz among so many walls."""
+    laser = LaserSection(beams=BEAMS, rate=10.0, noise=0.005)
+    return Simulation(SimSection(laser=laser), plan(count))
+
+
+def drive(there: Simulation, seconds: float) -> None:
+    """Drive in circles."""
+    for _ in range(round(seconds * 10)):
+        there.command(Twist(0.25, 0.0, _TURN))
+        there.run(0.1)
+
+
+def bare(there: Simulation, seconds: float) -> None:
+    """The same base in the same circles, with nothing but steps: its wheels' commands stay."""
+    step, base = there.world.step, there.base
+    base.turn((base.matrix(0.16416, 0.338) @ (0.25, 0.0, _TURN)).tolist())
+    step(round(seconds * 1e9 / STEP_NS))
+
+
+def factor(run: Callable[[Simulation, float], None], there: Simulation, seconds: float) -> tuple[float, float]:
+    """Simulated seconds per second of processor time, and per second of the clock; the best of three."""
+    run(there, 1.0)
+    best = (0.0, 0.0)
+    for _ in range(3):
+        cpu, wall = time.process_time(), time.perf_counter()
+        run(there, seconds)
+        best = max(best, (seconds / (time.process_time() - cpu), seconds / (time.perf_counter() - wall)))
+    return best
+
+
+def scans(count: int, seconds: float) -> tuple[float, float]:
+    """Scans per second: ours and by DART's rays."""
+    there = simulation(count)
+    segments, circles = there.world.seen()
+    step = 2 * math.pi / BEAMS
+    angles = -math.pi + np.arange(BEAMS) * step
+    beams = np.ascontiguousarray(np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    out, kernel = np.empty(BEAMS), cast()
+    ours = rate(lambda: kernel(segments, circles, 0.1, 0.2, 0.3, beams, -math.pi, step, 20.0, out), seconds)
+    dart = dartpy()
+    skeleton, nodes = bodies.fixed(there.world.pieces)
+    group = dart.collision.BulletCollisionDetector().createCollisionGroup()
+    group.addShapeFrames(nodes)
+    start = [0.1, 0.2, 0.5]
+    ends = [[0.1 + 20 * math.cos(a + 0.3), 0.2 + 20 * math.sin(a + 0.3), 0.5] for a in angles]
+
+    def rays() -> None:
+        for end in ends:
+            group.raycast(start, end, dart.collision.RaycastOption(), dart.collision.RaycastResult())
+
+    theirs = rate(rays, seconds)
+    assert skeleton.getNumBodyNodes() == 1
+    return ours, theirs
+
+
+def rate(do: Callable[[], Any], seconds: float) -> float:
+    """How often per second something can be done."""
+    do()
+    count, began = 0, time.perf_counter()
+    while time.perf_counter() - began < seconds:
+        do()
+        count += 1
+    return count / (time.perf_counter() - began)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a tenth of the time, for a look")
+    add_json_option(parser)
+    args = parser.parse_args()
+    seconds = 4.0 if args.quick else 30.0
+    empty = Simulation(SimSection(), Plan(name="empty", floors={"empty": Floor()}))
+    peer, _ = factor(bare, empty, seconds)
+    rows = []
+    for count in WALLS:
+        ours, _ = factor(drive, simulation(count), seconds)
+        rows.append(Row(f"real-time factor, {count} walls, {BEAMS} beams at 10 Hz", ours, peer, "x", "more"))
+        rows.append(Row(f"share of a core at real time, {count} walls", 100 / ours, 100 / peer, "%", "less"))
+    for count in WALLS:
+        mine, theirs = scans(count, seconds / 15)
+        rows.append(Row(f"laser scans, {count} walls, {BEAMS} beams", mine, theirs, "1/s", "more"))
+    report(rows, args.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""``midspan sim``: the simulated base, alone; its plans and robots; maps of a plan; a picture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bridge.cli.errors import CliError
+
+if TYPE_CHECKING:
+    from bridge.config.model import Config
+
+
+def register(subparsers: Any) -> None:
+    """Add the verb's parser."""
+    parser = subparsers.add_parser(
+        "sim",
+        help="run the simulated base alone; make maps and pictures of floor plans",
+        description="Run the simulated base of the configuration's section sim in the foreground, without the daemon;"
+        " the options here count before the file. It joins the hub that is there, or waits for one.",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration file (default: where one is found)")
+    parser.add_argument("--plan", metavar="PLAN", help="name of a floor plan, or a file; see --list")
+    parser.add_argument("--robot", metavar="ROBOT", help="name of a robot, or a file; see --list")
+    parser.add_argument("--speed", metavar="SPEED", help="1.0 is real time; 'max'; 'step' by a client")
+    parser.add_argument("--list", action="store_true", help="say which plans and robots come with Midspan, and end")
+    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the plan's maps and locations, and end")
+    parser.add_argument("--resolution", type=float, metavar="METRES", help="of a cell with --export (default 0.05)")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the plan and the robot as PNG, and end")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the simulation until it is told to stop, or do the one thing that is asked for."""
+    if args.list:
+        return _list()
+    config = _config(args)
+    if args.export is not None:
+        return _export(config, args)
+    if args.picture is not None:
+        return _picture(config, args.picture)
+    from bridge.cli.worker import run_alone
+    from bridge.daemon.workers import worker_kinds
+
+    kind = worker_kinds()["sim"]
+    if why := kind.missing(config):
+        raise CliError(why)
+    return run_alone(kind, config, lambda: _config(args))
+
+
+def _list() -> int:
+    from sim.files import ready
+
+    print("plans: ", ", ".join(ready("plans")))
+    print("robots:", ", ".join(ready("robots")))
+    return 0
+
+
+def _config(args: argparse.Namespace) -> Config:
+    from bridge.config.load import load
+    from bridge.config.sections.sim import SimSection
+    from bridge.daemon.state import with_state
+
+    config = with_state(load(args.config))
+    speed = args.speed
+    if speed not in (None, "max", "step"):
+        try:
+            speed = float(speed)
+        except ValueError:
+            msg = f"--speed {speed}: a number, 'max' or 'step'"
+            raise CliError(msg) from None
+    given = {"plan": args.plan, "robot": args.robot, "speed": speed}
+    changed = {name: value for name, value in given.items() if value is not None}
+    try:
+        section = SimSection.model_validate({**config.sim.model_dump(), **changed, "enabled": True})
+    except ValueError as err:
+        raise CliError(str(err)) from None
+    return config.model_copy(update={"sim": section})
+
+
+def _export(config: Config, args: argparse.Namespace) -> int:
+    from sim import export, plans
+
+    resolution = args.resolution or 0.05
+    if not 0.001 <= resolution <= 10:
+        msg = f"--resolution {resolution}: 0.001 to 10 metres"
+        raise CliError(msg)
+    plan = plans.load(config.sim.plan, config.sim.resolution)
+    for file in export.save(plan, args.export, resolution):
+        print(file)
+    for name, link in export.links(plan).items():
+        print(f"link {name}: {link.first} and {link.second}, cost {link.cost:g}")
+    return 0
+
+
+def _picture(config: Config, file: Path) -> int:
+    from sim.picture import png
+    from sim.simulation import Simulation
+
+    png(Simulation(config.sim), file)
+    print(file)
+    return 0

@@ -1,0 +1,155 @@
+"""The simulator's YARP ports, named as the robot's own (``/cer/...``) or its Gazebo model's (``/SIM_CER_ROBOT/...``).
+
+A laser (`rangefinder2D_nws_yarp`), odometry (`odometry2D_nws_yarp`) and the battery (`battery_nws_yarp`).
+"""
+
+# ruff: noqa: N802 - YARP's names
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from bridge.modules.host import Host
+from sim.simulation import TICK_NS, Simulation
+from yarp_compat.dev.basecontrol import IOdometry2DMsgs
+from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.rangefinder import DeviceStatus, Rangefinder2D
+from yarp_compat.dev.returnvalue import OK, ReturnCode, ReturnValue
+from yarp_compat.sig.vector import Vector
+
+_ODOMETRY = 2
+_BATTERY = 100
+"""Ticks between two messages: 50 Hz, 1 Hz."""
+
+_IN_USE = 2
+"""`IBattery::Battery_status`: works, and gives."""
+
+_TEMPERATURE = 30.0
+_FIXED = ReturnValue(ReturnCode.NOT_IMPLEMENTED)
+
+
+class Ports:
+    """The ports.
+
+    Args:
+        host: who opens them.
+        prefix: what their names begin with.
+        simulation: what is told of.
+    """
+
+    def __init__(self, host: Host, prefix: str, simulation: Simulation) -> None:
+        self._simulation = simulation
+        yarp = host.yarp
+        self._laser = yarp.output(f"{prefix}/laser:o")
+        yarp.serve(f"{prefix}/laser:o/rpc:i", _Laser(simulation))
+        self._odometry = yarp.output(f"{prefix}/odometry:o")
+        self._odometer = yarp.output(f"{prefix}/odometer:o")
+        self._velocity = yarp.output(f"{prefix}/velocity:o")
+        yarp.serve(f"{prefix}/odometry/rpc", _Reset(host, simulation))
+        self._battery = yarp.output(f"{prefix}/battery:o")
+        self._ticks = 0
+        self._scanned = -1
+
+    def tell(self, time_ns: int) -> None:
+        """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
+        self._ticks += 1
+        envelope = f"{self._ticks} {time_ns / 1e9:.9f}"
+        scan = self._simulation.scan
+        if scan.time_ns != self._scanned:
+            self._scanned = scan.time_ns
+            if self._laser.heard:
+                self._laser.write(self._scan(), envelope)
+        if self._ticks % _ODOMETRY == 0:
+            self._tell_odometry(envelope)
+        if self._ticks % _BATTERY == 0 and self._battery.heard:
+            charge = self._simulation.battery.charge
+            said: list[Any] = [charge.voltage, -charge.current, 100.0 * charge.share, _TEMPERATURE, _IN_USE]
+            self._battery.write(said, envelope)
+
+    def _scan(self) -> LaserScan2D:
+        """The last scan as YARP counts: from the robot's front around to the left, 0 to 360 degrees."""
+        scan = self._simulation.scan
+        behind = round(-scan.first / scan.step)
+        ranges = np.roll(scan.ranges, -behind)
+        return LaserScan2D(0.0, 360.0, scan.nearest, scan.farthest, Vector(ranges), int(DeviceStatus.DEVICE_OK_IN_USE))
+
+    def _tell_odometry(self, envelope: str) -> None:
+        found = self._simulation.estimate
+        (x, y, yaw), (vx, vy, turning) = found.pose, found.twist
+        c, s = math.cos(yaw), math.sin(yaw)
+        degrees = math.degrees(turning)
+        if self._odometry.heard:
+            data = OdometryData(x, y, math.degrees(yaw), vx, vy, degrees, c * vx - s * vy, s * vx + c * vy, degrees)
+            self._odometry.write(data, envelope)
+        if self._odometer.heard:
+            self._odometer.write([found.travelled, math.degrees(found.turned)], envelope)
+        if self._velocity.heard:
+            self._velocity.write([math.hypot(vx, vy), degrees], envelope)
+
+
+class _Laser(Rangefinder2D):
+    """The laser's settings; they are those of the configuration, and stay."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        super().__init__()
+        self._simulation = simulation
+
+    def getDeviceStatus_RPC(self) -> tuple[ReturnValue, DeviceStatus]:
+        """It works."""
+        return OK, DeviceStatus.DEVICE_OK_IN_USE
+
+    def getDistanceRange_RPC(self) -> tuple[ReturnValue, float, float]:
+        """What it measures."""
+        section = self._simulation.section.laser
+        return OK, section.nearest, section.farthest
+
+    def setDistanceRange_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
+        """Not by this way."""
+        return _FIXED
+
+    def getScanLimits_RPC(self) -> tuple[ReturnValue, float, float]:
+        """All around."""
+        return OK, 0.0, 360.0
+
+    def setScanLimits_RPC(self, min: float, max: float) -> ReturnValue:  # noqa: A002, ARG002 - YARP's
+        """Not by this way."""
+        return _FIXED
+
+    def getHorizontalResolution_RPC(self) -> tuple[ReturnValue, float]:
+        """Between two rays."""
+        return OK, 360.0 / self._simulation.section.laser.beams
+
+    def setHorizontalResolution_RPC(self, step: float) -> ReturnValue:  # noqa: ARG002 - YARP's
+        """Not by this way."""
+        return _FIXED
+
+    def getScanRate_RPC(self) -> tuple[ReturnValue, float]:
+        """Turns per second, of whole ticks."""
+        turn = round(1e9 / self._simulation.section.laser.rate / TICK_NS) * TICK_NS or TICK_NS
+        return OK, 1e9 / turn
+
+    def setScanRate_RPC(self, rate: float) -> ReturnValue:  # noqa: ARG002 - YARP's
+        """Not by this way."""
+        return _FIXED
+
+    def getDeviceInfo_RPC(self) -> tuple[ReturnValue, str]:
+        """What it is."""
+        section = self._simulation.section.laser
+        return OK, f"Midspan's simulated laser ({section.kind}, {section.beams} beams)"
+
+
+class _Reset(IOdometry2DMsgs):
+    """Begins odometry anew."""
+
+    def __init__(self, host: Host, simulation: Simulation) -> None:
+        super().__init__()
+        self._host, self._simulation = host, simulation
+
+    def reset_odometry_RPC(self) -> ReturnValue:
+        """Begin at zero from here, on the simulation's thread."""
+        self._host.loop.call(self._simulation.odometry.reset)
+        return OK

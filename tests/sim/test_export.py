@@ -1,0 +1,87 @@
+"""Maps and locations of floor plans, and what ``midspan sim`` makes of them; the picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bridge.cli.main import main
+from sim import export, plans
+from sim.picture import draw
+from tests.sim.floors import simulation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.dev.places import Places
+
+
+def test_a_plans_map_shows_what_the_laser_sees() -> None:
+    plan = plans.load("apartment")
+    grid = export.grid(plan, "apartment", 0.05)
+    floor = plan.floors["apartment"]
+
+    def flag(x: float, y: float) -> int:
+        left, bottom, _ = grid.getOrigin()
+        return int(grid.flags[grid.height() - 1 - int((y - bottom) / 0.05), int((x - left) / 0.05)])
+
+    assert flag(0.0, 3.0) == MapFlag.WALL
+    assert flag(2.5, 4.0) == MapFlag.FREE  # a door
+    assert flag(10.5, 4.0) == MapFlag.FREE  # a closed one
+    assert flag(4.9, 6.6) == MapFlag.FREE  # what can be pushed
+    assert flag(3.4, 2.2) == MapFlag.WALL  # the table
+    assert flag(-0.4, -0.4) == MapFlag.UNKNOWN  # outside
+    for place, (x, y, _) in floor.places.items():
+        assert flag(x, y) == MapFlag.FREE, place
+    there = simulation(floor=floor.model_dump(), start=floor.start)
+    scan, (x, y, yaw) = there.scan, there.base.pose()
+    angles = yaw + scan.first + np.arange(len(scan.ranges)) * scan.step
+    hits = [(x + (r + 0.01) * np.cos(a), y + (r + 0.01) * np.sin(a)) for r, a in zip(scan.ranges, angles, strict=True)]
+    known = [flag(*hit) == MapFlag.WALL for hit in hits]
+    assert sum(known) > 0.9 * len(known)  # all but the parcel and somebody
+
+
+def test_two_floors_become_two_maps_and_a_link(tmp_path: Path) -> None:
+    plan = plans.load("two_storeys")
+    written = {file.name for file in export.save(plan, tmp_path / "out", 0.1)}
+    assert {"ground.map", "upper.map", "ground.yaml", "locations.ini", "maps_collection.ini"} <= written
+    grid = MapGrid2D.load(tmp_path / "out" / "ground.map")
+    assert grid.isIdenticalTo(export.grid(plan, "ground", 0.1))
+    again = plans.load(str(tmp_path / "out" / "upper.yaml"))
+    assert len(next(iter(again.floors.values())).boxes) > 5
+    places = Places.load(tmp_path / "out" / "locations.ini")
+    assert places.locations["upper_lift"].map_id == "upper"
+    assert len(places.areas["ground_hall_area"].points) == 4
+    (link,) = export.links(plan).values()
+    assert {link.first, link.second} <= places.locations.keys()
+    assert link.cost == 30
+
+
+def test_the_picture_shows_walls_and_the_robot() -> None:
+    there = simulation()
+    picture = draw(there)
+    height, width, _ = picture.shape
+    assert tuple(picture[height // 2 + 5, width // 2]) == (40, 160, 90)
+    walls = (picture == (60, 62, 70)).all(axis=2).sum()
+    assert walls > 1000
+
+
+def test_the_command_makes_maps_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "--list"]) == 0
+    assert "apartment, hall, lab, office, two_storeys" in capsys.readouterr().out
+    config = tmp_path / "midspan.yaml"
+    config.write_text(f"state: {tmp_path}\nsim: {{plan: hall}}\n")
+    assert main(["sim", "--config", str(config), "--picture", str(tmp_path / "hall.png")]) == 0
+    with Image.open(tmp_path / "hall.png") as image:
+        assert image.size[0] == 800
+    assert main(["sim", "--config", str(config), "--export", str(tmp_path / "maps"), "--resolution", "0.2"]) == 0
+    assert (tmp_path / "maps" / "hall.map").exists()
+    capsys.readouterr()
+    for wrong, said in (
+        (["--plan", "castle", "--picture", "x.png"], "plans that come with Midspan"),
+        (["--speed", "fast"], "a number, 'max' or 'step'"),
+        (["--speed", "-1"], "0.01 to 1000"),
+        (["--export", "x", "--resolution", "99"], "0.001 to 10 metres"),
+    ):
+        assert main(["sim", "--config", str(config), *wrong]) == 1
+        assert said in capsys.readouterr().err

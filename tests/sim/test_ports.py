@@ -1,0 +1,89 @@
+"""The simulator on YARP: the laser's stream and settings, odometry, the battery, as clients of both ages ask."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from tests.sim.test_hub import Place
+from tests.support.wait import until
+from yarp_compat.dev.basecontrol import IOdometry2DMsgs
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.laserscan import LaserScan2D
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.rangefinder import DeviceStatus, IRangefinder2DMsgs
+from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader, Received
+from yarp_compat.wire.values import Vocab
+
+
+def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
+    place = Place(tmp_path)
+    try:
+        with NameServer(port=place.port, gc_seconds=0):
+            names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
+            section = {"beams": 8, "farthest": 15.0}
+            place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section))
+            until(lambda: names.query("/cer/battery:o"), "the last port is there", 20)
+            until(lambda: "waiting" not in str(place.status()["ports"]), "all are open", 20)
+            streams(place, names)
+            settings(names)
+            place.worker.stop()
+    finally:
+        place.close()
+
+
+def streams(place: Place, names: NameClient) -> None:
+    """What the ports say."""
+
+    def heard(port: str) -> Received:
+        with Reader(f"/test{port}", naming=names) as reader:
+            connections.connect(names, port, f"/test{port}")
+            received = until(reader.read_now, f"a message of {port}", 20)
+        assert received is not None
+        return received
+
+    scan = heard("/cer/laser:o").to(LaserScan2D)
+    assert (scan.angle_min, scan.angle_max, scan.range_max, scan.status) == (0.0, 360.0, 15.0, 1)
+    # from the front to the left; it settles on its casters, and so moves by 2 mm
+    assert all(
+        abs(r - wanted) < 0.05 for r, wanted in zip(list(scan.scans)[::2], (9.45, 6.95, 10.45, 6.95), strict=True)
+    )
+    received = heard("/cer/odometry:o")
+    odometry = received.to(OdometryData)
+    assert abs(odometry.odom_x) < 0.01
+    assert float(received.envelope.split()[1]) > 1.7e9
+    assert len(heard("/cer/odometer:o").values) == 2
+    assert len(heard("/cer/velocity:o").values) == 2
+    voltage, current, charge, _, status = heard("/cer/battery:o").values
+    assert 50 < voltage < 55
+    assert current > 0
+    assert 99 < charge <= 100
+    assert status == 2
+
+
+def settings(names: NameClient) -> None:
+    """What the ports answer, in newer and older words."""
+    with ServiceClient(IRangefinder2DMsgs, "/cer/laser:o/rpc:i", naming=names) as laser:
+        assert laser.remote.getDistanceRange_RPC()[1:] == (0.1, 15.0)
+        assert laser.remote.getScanLimits_RPC()[1:] == (0.0, 360.0)
+        assert laser.remote.getHorizontalResolution_RPC()[1] == 45.0
+        assert math.isclose(laser.remote.getScanRate_RPC()[1], 10.0)
+        assert laser.remote.getDeviceStatus_RPC()[1] is DeviceStatus.DEVICE_OK_IN_USE
+        assert "8 beams" in laser.remote.getDeviceInfo_RPC()[1]
+        assert not laser.remote.setScanRate_RPC(5.0)
+    with Client("/cer/laser:o/rpc:i", naming=names) as old:
+        for words, answer in (
+            ([Vocab("get"), Vocab("ilas"), Vocab("lsdr")], ["is", "lsdr", 0.1, 15.0]),
+            ([Vocab("get"), Vocab("ilas"), Vocab("lsar")], ["is", "lsar", 0.0, 360.0]),
+            ([Vocab("get"), Vocab("ilas"), Vocab("lsas")], ["is", "lsas", 45.0]),
+            ([Vocab("set"), Vocab("ilas"), Vocab("lssr"), 5.0], ["fail"]),
+            ([Vocab("get"), Vocab("ilas"), Vocab("what")], ["fail"]),
+        ):
+            said = old.ask(words, timeout=20)
+            assert said == answer
+    with ServiceClient(IOdometry2DMsgs, "/cer/odometry/rpc", naming=names) as odometry:
+        assert odometry.remote.reset_odometry_RPC()
