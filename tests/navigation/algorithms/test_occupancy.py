@@ -1,0 +1,95 @@
+"""Maps from scans of rooms that are known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from navigation.algorithms.occupancy import OccupancyMap
+
+BEAMS = 720
+STEP = 2 * math.pi / BEAMS
+CELL = 0.05
+ROOM = 3.0
+
+
+def room_ranges(x: float, y: float, direction: float) -> np.ndarray:
+    """What a laser at a place in a square room from 0 to ``ROOM`` sees."""
+    angles = direction + np.arange(BEAMS) * STEP
+    with np.errstate(divide="ignore"):
+        to_x = np.where(np.cos(angles) > 0, ROOM - x, -x) / np.cos(angles)
+        to_y = np.where(np.sin(angles) > 0, ROOM - y, -y) / np.sin(angles)
+    return np.minimum(to_x, to_y)
+
+
+@pytest.fixture
+def grid() -> OccupancyMap:
+    return OccupancyMap(80, 80, CELL, (-0.525, -0.525))
+
+
+def test_a_rooms_walls_are_occupied_and_its_floor_is_free(grid: OccupancyMap) -> None:
+    for x, y, direction in ((1.5, 1.5, 0.0), (0.7, 2.0, 1.0), (2.2, 0.9, -2.0)) * 3:
+        assert grid.insert((x, y, direction), room_ranges(x, y, direction), 0.0, STEP, 10.0) > 1000
+    centres = np.arange(80) * CELL - 0.5
+    found = grid.occupancy()
+    inside = (centres > CELL) & (centres < ROOM - CELL)
+    assert (found[np.ix_(inside, inside)] == 0).mean() > 0.99
+    rows, columns = np.nonzero(found == 100)
+    x, y = centres[columns], centres[rows]
+    from_wall = np.minimum.reduce([abs(x), abs(y), abs(x - ROOM), abs(y - ROOM)])
+    assert from_wall.max() < 1.5 * CELL
+    outside = (centres < -2 * CELL) | (centres > ROOM + 2 * CELL)
+    assert (found[outside] == -1).all()
+    assert (found[:, outside] == -1).all()
+    wall = np.argmin(abs(centres))
+    assert (found[wall, inside] == 100).mean() > 0.9
+
+
+def test_what_is_not_known_changes_nothing(grid: OccupancyMap) -> None:
+    assert grid.insert((1.5, 1.5, 0.0), np.full(BEAMS, np.nan), 0.0, STEP, 10.0) == 0
+    assert grid.insert((1.5, 1.5, 0.0), np.zeros(BEAMS), 0.0, STEP, 10.0) == 0
+    assert (grid.occupancy() == -1).all()
+
+
+def test_what_is_out_of_reach_frees_the_way_and_occupies_nothing(grid: OccupancyMap) -> None:
+    for _ in range(5):
+        grid.insert((1.5, 1.5, 0.0), np.full(BEAMS, np.inf), 0.0, STEP, 1.0)
+    assert grid.odds.max() == 0.0
+    assert grid.odds.min() < -1.0
+
+
+def test_what_goes_away_is_unlearnt(grid: OccupancyMap) -> None:
+    one = np.array([1.0])
+    for _ in range(50):
+        grid.insert((1.5, 1.5, 0.0), one, 0.0, STEP, 10.0)
+    at = int((1.5 + 0.525) / CELL), int((2.5 + 0.525) / CELL)
+    assert grid.occupancy()[at] == 100
+    for _ in range(20):
+        grid.insert((1.5, 1.5, 0.0), np.array([2.0]), 0.0, STEP, 10.0)
+    assert grid.occupancy()[at] == 0
+
+
+def test_a_hit_outweighs_beams_that_pass_in_the_same_scan(grid: OccupancyMap) -> None:
+    grid.insert((1.5, 1.5, 0.0), np.array([1.0, 2.0, 2.0, 2.0]), 0.0, 1e-6, 10.0)
+    at = int((1.5 + 0.525) / CELL), int((2.5 + 0.525) / CELL)
+    assert grid.odds[at] > 0.0
+    assert not grid.marks.any()
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (-50.0, 3.0, 1.0), (1e9, 0.0, 0.0)])
+def test_poses_at_the_border_and_off_the_map(grid: OccupancyMap, pose: tuple[float, float, float]) -> None:
+    grid.insert(pose, np.full(BEAMS, 2.0), 0.0, STEP, 10.0)
+    assert np.isfinite(grid.odds).all()
+
+
+def test_poses_that_are_none(grid: OccupancyMap) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        grid.insert((math.nan, 0.0, 0.0), np.ones(4), 0.0, STEP, 10.0)
+
+
+@pytest.mark.parametrize(("rows", "resolution"), [(0, 0.05), (10, 0.0), (10, math.nan)])
+def test_maps_that_are_none(rows: int, resolution: float) -> None:
+    with pytest.raises(ValueError, match="a map has cells"):
+        OccupancyMap(rows, 10, resolution, (0.0, 0.0))
