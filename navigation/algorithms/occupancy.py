@@ -84,8 +84,7 @@ class OccupancyMap:
 
     def probabilities(self) -> NDArray[np.float32]:
         """(rows, columns) each cell's probability of being occupied; 0.5 is unknown."""
-        result: NDArray[np.float32] = 1.0 / (1.0 + np.exp(-self.odds))
-        return result
+        return (1.0 / (1.0 + np.exp(-self.odds))).astype(np.float32)
 
     def occupancy(self) -> NDArray[np.int8]:
         """(rows, columns) as `nav_msgs/OccupancyGrid` says it: 100 occupied, 0 free, -1 unknown."""
