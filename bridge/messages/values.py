@@ -143,7 +143,7 @@ class Writer:
         if isinstance(items, np.ndarray):
             self.align(PRIMITIVE_SIZES[kind.base] if len(items) else 1)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is infinite
-                self.data += np.ascontiguousarray(items, DTYPES[kind.base]).tobytes()
+                self.data += np.ascontiguousarray(items, DTYPES[kind.base]).view(np.uint8).data
             return
         for number, item in enumerate(items):
             self.element(kind.element, item, f"{where}[{number}]")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bridge.messages.cache import compiled
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, too_large
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, looked_up, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 
@@ -80,6 +80,7 @@ def _values() -> NDArray[np.uint8]:
 
 
 _VALUES = _values()
+_KNOWN = _VALUES[MapFlag.FREE]
 
 
 def _joined(
@@ -114,8 +115,7 @@ def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
         raise ValueError(too_large(width, height))
     if not width * height or data.shape != (width * height,):
         raise ValueError(f"an OccupancyGrid of {width} x {height} cells does not have {data.size} of them")
-    occupancy = data.reshape(height, width)[::-1].astype(np.uint8)
-    occupancy[occupancy > 100] = UNKNOWN
+    occupancy = looked_up(data.view(np.uint8).reshape(height, width)[::-1], _KNOWN)
     place, turn = info["origin"]["position"], info["origin"]["orientation"]
     origin = MapGrid2DOrigin.from_ros(place["x"], place["y"], yaw_of(turn))
     return MapGrid2D.of(flags_of(occupancy), occupancy, name=name, resolution=float(info["resolution"]), origin=origin)

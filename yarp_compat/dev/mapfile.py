@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from yarp_compat.wire.message import Buffer
+
 LONGEST_TEXT = 1 << 22
 """A text file of more bytes is refused."""
 
@@ -74,17 +76,18 @@ def file_name(name: str) -> str:
     return name
 
 
-def write(path: Path, content: bytes | str) -> None:
+def write(path: Path, *content: Buffer | str) -> None:
     """Write a file, which is as it was or whole at any time.
 
     Raises:
         MapFileError: it cannot be written.
     """
     fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
-    data = content if isinstance(content, bytes) else content.encode("utf-8", "surrogateescape")
+    data = [part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part for part in content]
     try:
         try:
-            fresh.write_bytes(data)
+            with fresh.open("wb") as file:
+                file.writelines(data)
             fresh.replace(path)
         finally:
             fresh.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from yarp_compat.dev.mapfile import MapFileError, write
 from yarp_compat.dev.mapflag import MAX_CELLS, too_large
+from yarp_compat.wire.message import Buffer
 
 _FORMATS = ("PPM", "PNG", "BMP")
 
@@ -39,8 +40,8 @@ def read_image(path: Path) -> NDArray[Any]:
     return pixels
 
 
-def grey_image(kind: str, pixels: NDArray[np.uint8]) -> bytes:
-    """The file of an image in a kind that is ``pgm``, ``png`` or ``bmp``.
+def grey_image(kind: str, pixels: NDArray[np.uint8]) -> list[Buffer]:
+    """The parts of an image's file, in a kind that is ``pgm``, ``png`` or ``bmp``.
 
     Args:
         kind: of the file.
@@ -54,7 +55,7 @@ def grey_image(kind: str, pixels: NDArray[np.uint8]) -> bytes:
 
     file = io.BytesIO()
     Image.fromarray(pixels).save(file, kind, **({"compress_level": 1} if kind == "png" else {}))
-    return file.getvalue()
+    return [file.getbuffer()]
 
 
 def write_greys(path: Path, pixels: NDArray[np.uint8]) -> None:
@@ -63,7 +64,7 @@ def write_greys(path: Path, pixels: NDArray[np.uint8]) -> None:
     Raises:
         MapFileError: it cannot be written.
     """
-    write(path, _binary(b"P5", pixels))
+    write(path, *_binary(b"P5", pixels))
 
 
 def write_colours(path: Path, pixels: NDArray[np.uint8]) -> None:
@@ -72,11 +73,11 @@ def write_colours(path: Path, pixels: NDArray[np.uint8]) -> None:
     Raises:
         MapFileError: it cannot be written.
     """
-    write(path, _binary(b"P6", pixels))
+    write(path, *_binary(b"P6", pixels))
 
 
-def _binary(magic: bytes, pixels: NDArray[np.uint8]) -> bytes:
-    return b"%b\n%d %d\n255\n%b" % (magic, pixels.shape[1], pixels.shape[0], pixels.tobytes())
+def _binary(magic: bytes, pixels: NDArray[np.uint8]) -> list[Buffer]:
+    return [b"%b\n%d %d\n255\n" % (magic, pixels.shape[1], pixels.shape[0]), np.ascontiguousarray(pixels).data]
 
 
 def _pixels(image: Any) -> NDArray[Any]:
