@@ -118,7 +118,7 @@ def image(time_ns: int, picture: np.ndarray) -> Message:
         "width": width,
         "encoding": "rgb8",
         "step": width * 3,
-        "data": np.ascontiguousarray(picture).tobytes(),
+        "data": np.ascontiguousarray(picture).ravel(),
     }
 
 

@@ -29,13 +29,18 @@ class Pace:
 
     def __init__(self, speed: float) -> None:
         self._seconds = TICK_NS / 1e9 / speed
-        self._next = time.monotonic()
+        self.begin()
         self.late = 0
         self.left_out = 0
+        self._stood = -_PILED
 
     def begin(self) -> None:
         """Begin from now on: after a pause nothing is due."""
-        self._next = time.monotonic()
+        self._next = time.monotonic() + self._seconds
+
+    def stood_still(self) -> bool:
+        """Whether what is heard now may have waited while this process stood still."""
+        return time.monotonic() - self._stood < _PILED
 
     def due(self) -> int:
         """The ticks that are due now; they count as done."""
@@ -44,14 +49,18 @@ class Pace:
         if behind > _FORGIVEN:
             missed = int(behind / self._seconds)
             self.left_out += missed
+            self._stood = now
             self._next += missed * self._seconds
             behind = now - self._next
         count = int(behind / self._seconds) + 1 if behind > -_EARLY else 0
         count = min(count, max(1, int(_MOST / self._seconds)))
-        self.late += max(0, count - 1) if self._seconds >= _TICK_WAIT else 0
+        self.late += max(0, min(count, int(behind / self._seconds))) if self._seconds >= _TICK_WAIT else 0
         self._next += count * self._seconds
         return count
 
+
+_PILED = 0.5
+"""Seconds after a stop in which what piled up meanwhile is still being heard."""
 
 _TICK_WAIT = 0.005
 """Ticks that follow each other closer than this, in seconds, come in bundles: that is no lateness."""

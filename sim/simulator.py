@@ -135,12 +135,18 @@ class Simulator(Module):
         motors.drive([said[name] for name in motors.names])
 
     def _try(self, do: Callable[[], None]) -> None:
+        if self._pace is not None and self._pace.stood_still():
+            self._refuse("it may have waited while the simulator stood still")
+            return
         try:
             do()
         except SimError as err:
-            self._refused += 1
-            if self._refused in (1, 10, 100) or self._refused % 1000 == 0:
-                self._host.log.warning("command refused (%d so far): %s", self._refused, err)
+            self._refuse(str(err))
+
+    def _refuse(self, why: str) -> None:
+        self._refused += 1
+        if self._refused in (1, 10, 100) or self._refused % 1000 == 0:
+            self._host.log.warning("command refused (%d so far): %s", self._refused, why)
 
     def _reset(self, _request: dict[str, Any]) -> str:
         self._stepping.give_up("the simulation was reset")

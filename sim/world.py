@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -257,16 +257,12 @@ class World:
             SimError: something stands there.
         """
         radius = self.base.robot.body.radius
-        for i, piece in enumerate(self.pieces):
-            leaf = i - self.first_leaf
-            if 0 <= leaf < len(self.doors) and list(self.doors.values())[leaf]:
-                continue
+        there = [*self.pieces[: self.first_leaf], *self.leaves(is_open=False)]
+        there += [walker.piece() for walker in self.people.values()]
+        there += [replace(crate.now(), name=name) for name, crate in self.crates.items()]
+        for piece in there:
             if _distance(piece, pose.x, pose.y) < radius:
                 msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {piece.name or 'a wall'} is there"
-                raise SimError(msg)
-        for name, crate in self.crates.items():
-            if _distance(crate.now(), pose.x, pose.y) < radius:
-                msg = f"the robot cannot stand at {pose.x:.2f}, {pose.y:.2f}: {name} is there"
                 raise SimError(msg)
         self.base.place(pose)
         self.look()

@@ -131,10 +131,13 @@ def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> No
 def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
     far = place.far
     scan = far.subscribe("/laser", "sensor_msgs/LaserScan")
-    place.worker.start(place.config(names="r1", drive="wheels", yarp="", laser={"beams": 8}))
+    view = far.subscribe("/sim/view", "sensor_msgs/Image")
+    place.worker.start(place.config(names="r1", drive="wheels", view=5.0, laser={"beams": 8}))
     first = far.wait(scan, 1, 20)[0]
     assert first["header"]["frame_id"] == "mobile_base_double_lidar"
     assert first["header"]["stamp"]["sec"] > 1_700_000_000
+    picture = far.wait(view, 1, 20)[0]
+    assert (picture["width"], picture["encoding"]) == (800, "rgb8")
     assert not far.publishers("/odometry")  # BaseControl's
     assert not far.publishers("/clock")
     wheels = far.advertise("/wheel_command", "sensor_msgs/JointState")
