@@ -169,6 +169,8 @@ def _worker_notes(decisions: Sequence[Decision], documents: Sequence[Document]) 
     notes: list[Note] = []
     told = {(d.daemon, d.worker) for d in decisions}
     for document in documents:
+        if document.get("module"):
+            continue  # it decides of no topic
         side, who = document.get("side"), (document.get("daemon"), document.get("worker"))
         name = f"{side_name(side)} (daemon {clean(who[0])})"
         if document.get("state") == "waiting":
