@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from bridge.cli.main import main
+from bridge.hub.session import Hub
 from bridge.stores.kinds import AREA, BEHAVIOUR, KINDS, LOCATION, MAP
 from bridge.stores.store import Store
 from navigation.map2d_server.outlets import topic_of
 from navigation.maps.grid import from_grid
 from navigation.maps.keepout import flags_from
+from tests.contract.hubside import HubSide
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.dev.area_behaviour import AreaBehaviour
@@ -235,6 +240,44 @@ def test_a_map_of_somebody_else_is_taken_and_never_echoed(served: Served) -> Non
     finally:
         served.far.drop(out)
     served.far.until_published("/map")
+
+
+def test_a_map_of_another_map_server_of_midspan_is_not_taken(served: Served) -> None:
+    served.store.put(MAP, "other", six_flags("other"))
+    served.store.use_map("other")
+    served.far.until_published("/map")
+    with Hub.open(replace(served.hubs.settings("far"), node="map2d_server")) as hub:
+        twin = HubSide(hub, served.far.registry)
+        current = twin.subscribe("/map", GRID, latched=True, depth=1)
+        twin.wait(current, 1, 20)
+        out = twin.advertise("/map", GRID, latched=True, depth=1)
+        theirs = six_flags("theirs", seed=3)
+        for name in ("one", "two"):  # the second is looked at after the first was settled
+            twin.publish(out, {"header": {"frame_id": "map"}, "info": message_info(theirs), "data": data(theirs)})
+            served.store.put(MAP, name, theirs)
+            until(lambda n=name: n in (served.status("map2d_server") or {}).get("maps", {}), "it goes on", 20)
+            until(lambda: not intake(served)._due, "the message is settled", 20)
+        served.far.until_published("/map", 2)
+    assert served.store.get(MAP, "taken") is None
+    assert served.store.current_map() == "other"
+
+
+def intake(served: Served) -> Any:
+    module: Any = served.worker._running["map2d_server"]._module
+    return module._intakes[0]
+
+
+def test_explain_tells_how_a_client_is_answered(
+    served: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"name": "here", "hub": {"listen": served.hubs.endpoint}}))
+    with served.client() as client:
+        assert list(client.maps) == []
+        assert main(["explain", "/map2D_nws_yarp/rpc", "--config", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "its calls are answered as YARP 3.12 does (it asked for the protocol's version, and is of YARP 3" in told
+    assert "has decided nothing" not in told
 
 
 def message_info(grid: MapGrid2D) -> dict[str, Any]:
