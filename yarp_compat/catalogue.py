@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 _PLACES = {
+    "dev.basecontrol": "MobileBaseVelocityControl Odometry2DClient",
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
     "dev.iframetransform": "IFrameTransform",

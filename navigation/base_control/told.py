@@ -80,7 +80,7 @@ class Told:
         if not any(port.heard for port in ports):
             return
         self._stamp.update(stamp["sec"] + stamp["nanosec"] / 1e9)
-        envelope = f"{self._stamp.getCount()} {self._stamp.getTime():.9f}"
+        envelope = self._stamp.to_text()
         vx, vy = found.world_velocity
         turn = math.degrees(found.velocity.turn)
         data = OdometryData(

@@ -10,13 +10,22 @@ Ports (`mobileBaseVelocityControl_nws_yarp`, `odometry2D_nws_yarp` of YARP 4): `
 
 from __future__ import annotations
 
+from typing import Self
+
 from yarp_compat.dev.client import PATIENCE, ServiceClient
-from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import Service, rpc
+from yarp_compat.naming import connections
 from yarp_compat.naming.naming import Naming
+from yarp_compat.os.stamp import Stamp
+from yarp_compat.pythonic import Reader, Received
+from yarp_compat.wire.errors import WireError
 
 DEFAULT_TIMEOUT = 0.1
 """Seconds for which a command holds where a caller does not say (`INavigation2DVelocityActions.h`)."""
+
+_UNREACHED = ReturnValue(ReturnCode.COMMUNICATION)
 
 
 class INavigation2DVelocityActionsMsgs(Service):
@@ -40,7 +49,7 @@ class IOdometry2DMsgs(Service):
 
 
 class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs]):
-    """Drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` does.
+    """Drives a base, as YARP's ``mobileBaseVelocityControl_nwc_yarp`` does (`IMobileBaseVelocityControl`).
 
     Example::
 
@@ -62,26 +71,37 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
     def applyVelocityCommand(
         self, x_vel: float, y_vel: float, theta_vel: float, timeout: float = DEFAULT_TIMEOUT
     ) -> ReturnValue:
-        """Drive: m/s, m/s, deg/s, for so many seconds."""
-        return self.remote.applyVelocityCommandRPC(x_vel, y_vel, theta_vel, timeout)
+        """Drive: m/s, m/s, deg/s, for so many seconds; false where that failed."""
+        try:
+            return self.remote.applyVelocityCommandRPC(x_vel, y_vel, theta_vel, timeout)
+        except (OSError, WireError):
+            return _UNREACHED
 
     def getLastVelocityCommand(self) -> tuple[ReturnValue, float, float, float]:
         """The outcome, and what was commanded last: m/s, m/s, deg/s."""
-        return self.remote.getLastVelocityCommandRPC()
+        try:
+            return self.remote.getLastVelocityCommandRPC()
+        except (OSError, WireError):
+            return _UNREACHED, 0.0, 0.0, 0.0
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
-        """Drive: m/s, m/s, deg/s; raises `CallFailed` where the base refuses."""
-        outcome = self.applyVelocityCommand(x, y, turn, seconds)
+        """Drive: m/s, m/s, deg/s.
+
+        Raises:
+            CallFailed: the base refuses the command.
+            OSError: it is not there, or does not answer.
+        """
+        outcome = self.remote.applyVelocityCommandRPC(x, y, turn, seconds)
         if not outcome:
             raise CallFailed(outcome.code, "the base refuses the command; its log says why")
 
 
 class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
-    """Begins an odometry anew; what it says is streamed to ``<name>/odometry:o``.
+    """Hears an odometry, and begins it anew, as YARP's ``odometry2D_nwc_yarp`` does (`IOdometry2D`).
 
     Args:
-        server: its port, ``/baseControl/rpc`` or ``/cer/odometry/rpc``.
-        name: the own port's name; empty lets the name server choose one.
+        server: what its ports begin with, ``/baseControl/odometry`` or ``/cer/odometry``.
+        name: what the own ports begin with; empty lets the name server choose names.
         timeout: seconds to wait for a reply; None: for ever.
         naming: who knows the names; by default the name server of ``yarp.conf``.
     """
@@ -89,8 +109,56 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     def __init__(
         self, server: str, name: str = "", *, timeout: float | None = PATIENCE, naming: Naming | None = None
     ) -> None:
-        super().__init__(IOdometry2DMsgs, server, name, timeout=timeout, naming=naming)
+        mine = name.rstrip("/")
+        super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", timeout=timeout, naming=naming)
+        self._source = f"{server}/odometry:o"
+        self._reader = Reader(mine and f"{mine}/odometry:i", naming=naming)
+        self._last: tuple[OdometryData, float] | None = None
+
+    def open(self) -> Self:
+        """Open both ports and connect them.
+
+        Raises:
+            NamingError: there is no name server.
+            PortError: there is no such server.
+        """
+        super().open()
+        try:
+            self._reader.open()
+            connections.connect(self._reader.core.naming, self._source, self._reader.name)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def close(self) -> None:
+        """Close both ports."""
+        self._reader.close()
+        super().close()
+
+    def read(self) -> tuple[OdometryData, float] | None:
+        """Wait for the next odometry, and its time stamp in seconds; None once this is closed."""
+        received = self._reader.read()
+        return None if received is None else self._taken(received)
+
+    def getOdometry(self) -> tuple[ReturnValue, OdometryData, float]:
+        """The outcome, the newest odometry, and its time stamp in seconds; false before any has come."""
+        received = self._reader.read_now()
+        try:
+            found = self._last if received is None else self._taken(received)
+        except WireError:
+            return _UNREACHED, OdometryData(), 0.0
+        return (_UNREACHED, OdometryData(), 0.0) if found is None else (ReturnValue(), *found)
 
     def resetOdometry(self) -> ReturnValue:
-        """Begin at zero from here."""
-        return self.remote.reset_odometry_RPC()
+        """Begin at zero from here; false where that failed."""
+        try:
+            return self.remote.reset_odometry_RPC()
+        except (OSError, WireError):
+            return _UNREACHED
+
+    def _taken(self, received: Received) -> tuple[OdometryData, float]:
+        stamp = Stamp()
+        stamp.from_text(received.envelope)
+        self._last = received.to(OdometryData), stamp.getTime()
+        return self._last

@@ -16,7 +16,7 @@ from bridge.messages.json import from_json, to_json
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import MobileBaseVelocityControl, Odometry2DClient
-from yarp_compat.dev.odometry import MobileBaseVelocity, OdometryData
+from yarp_compat.dev.odometry import MobileBaseVelocity
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
@@ -177,28 +177,28 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
                 until(lambda c=content, w=wanted: (writer.write(c), drives(wheels, *w)())[1], f"by {port}", 20)
                 connections.disconnect(names, "/test/command:o", port)
         until(drives(wheels, 0.0, 0.0), "it stands still again", 10)
-        with Reader("/test/odometry:i", naming=names) as reader, Client("/baseControl/rpc", naming=names) as words:
-            connections.connect(names, "/baseControl/odometry/odometry:o", "/test/odometry:i")
-            received = reader.read()
-            assert received is not None
-            found = received.to(OdometryData)
-            assert found.odom_x != 0.0
-            count, stamp = received.envelope.split()
-            assert int(count) >= 0
-            assert float(stamp) > 1e9
-            with Odometry2DClient("/baseControl/odometry/rpc", naming=names) as odometry:
-                assert odometry.resetOdometry()
-            until(lambda: zeroed(reader), "the odometry begins anew", 20)
+        with Client("/baseControl/rpc", naming=names) as words:
             assert words.ask(["set_max_lin_vel", 0.2], timeout=10) == ["Max linear velocity set."]
             assert words.ask(["help"], timeout=10)[0] == "[many]"
             assert "is no command" in str(words.ask(["dance"], timeout=10))
+        with Odometry2DClient("/baseControl/odometry", naming=names) as odometry:
+            found = odometry.read()
+            assert found is not None
+            assert found[0].odom_x != 0.0
+            assert found[1] == pytest.approx(time.time(), abs=30.0)
+            assert odometry.resetOdometry()
+            until(lambda: odometry.getOdometry()[1].odom_x == 0.0, "the odometry begins anew", 20)
+            outcome, _, stamp = odometry.getOdometry()
+            assert outcome
+            assert stamp > found[1]
+        with Reader("/test/odometry:i", naming=names) as reader:
+            for port, count in (("odometry:o", 9), ("odometer:o", 2), ("velocity:o", 2), ("odometry_vector:o", 3)):
+                connections.connect(names, f"/baseControl/{port}", "/test/odometry:i")
+                received = reader.read()
+                assert received is not None
+                assert len(received.values) == count
+                connections.disconnect(names, f"/baseControl/{port}", "/test/odometry:i")
 
 
 def base_input(place: Place) -> str:
     return str((place.status("base_control") or {}).get("input"))
-
-
-def zeroed(reader: Reader) -> bool:
-    received = reader.read()
-    assert received is not None
-    return received.to(OdometryData).odom_x == 0.0
