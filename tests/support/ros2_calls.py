@@ -177,16 +177,38 @@ class Acting:
         self.handle.destroy()
 
 
+def on_executor(node: Any, work: Callable[[], None]) -> None:
+    """Do something on the thread that takes replies, and wait for it.
+
+    rclpy's action client (7.1) sends a request before it knows that it waits for the reply: one that comes in between,
+    to another thread, is dropped as unexpected, and the request never ends.
+    """
+    done = threading.Event()
+
+    def run() -> None:
+        try:
+            work()
+        finally:
+            done.set()
+
+    node.executor.create_task(run)
+    done.wait(20.0)
+
+
 class Goal:
     """A goal of an action client, and what it heard of it."""
 
-    def __init__(self, client: ActionClient, goal: Any, plain: Plain) -> None:
-        self.plain = plain
+    def __init__(self, node: Any, client: ActionClient, goal: Any, plain: Plain) -> None:
+        self.node, self.plain = node, plain
         self.handle: Any = None
         self.state: dict[str, Any] = {"accepted": None, "feedback": [], "status": 0, "result": None, "cancel": None}
         self.state["ends"] = 0
         self.news = threading.Condition()
-        client.send_goal_async(goal, feedback_callback=self.heard).add_done_callback(self.answered)
+
+        def send() -> None:
+            client.send_goal_async(goal, feedback_callback=self.heard).add_done_callback(self.answered)
+
+        on_executor(node, send)
 
     def tell(self, **news: Any) -> None:
         with self.news:
@@ -216,7 +238,7 @@ class Goal:
             answer = future.result()
             self.tell(cancel=[answer.return_code, len(answer.goals_canceling)])
 
-        self.handle.cancel_goal_async().add_done_callback(told)
+        on_executor(self.node, lambda: self.handle.cancel_goal_async().add_done_callback(told))
 
     def wait(self, until: dict[str, Any], seconds: float) -> dict[str, Any]:
         """What is known, once each field of ``until`` is as it says (of feedback: at least so many)."""
@@ -266,7 +288,7 @@ class Calls:
             self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)
         client = self.action_clients[key]
         assert client.wait_for_server(params.get("seconds", 20.0)), f"no server of {params['action']}"
-        return Goal(client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
+        return Goal(self.node, client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
 
     def act(self, params: dict[str, Any]) -> Acting:
         return Acting(self.node, params, self.profile(params), self.fill, self.plain)
