@@ -9,7 +9,6 @@ goals ended, and the seconds from the kill to the end; the rows hold how often.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import signal
 import statistics
@@ -85,6 +84,14 @@ class Scene:
         self._goals += 1
         return Goal(self, server, client, self._goals)
 
+    def told_of(self, action: str) -> str:
+        """What the workers say of an action, and who is on the side of each."""
+        told = [f"{line['direction']} {line['topic']}: {line['why']}" for line in self.deployment.explain(action)]
+        for status in self.deployment.status():
+            told.append(f"{status['side']}: {status['state']}, {status.get('network')}, {status.get('warnings')}")
+            told += [str(route) for route in status["routes"] if route["action"] == action]
+        return "\n".join(told)
+
     def kill_worker(self, worker: str) -> None:
         """SIGKILL a worker; returns when the next one runs."""
         old = self.deployment.worker(worker)["pid"]
@@ -122,7 +129,10 @@ class Goal:
         pair = Pair((server, self.server), (client, self.client))
         name = f"/danger_{number}/go"
         self.acting = pair.act(name, held=True)
-        self.id = pair.send(name)
+        try:
+            self.id = pair.send(name)
+        except AssertionError as err:
+            raise AssertionError(f"{err}\n{scene.told_of(name)}") from None
         pair.goal(self.id, accepted=True, feedback=1)
         self._look_on(name)
         self.killed_at = time.monotonic()
@@ -157,16 +167,6 @@ class Goal:
     def release(self) -> None:
         """Have the server end it."""
         self.server.ask("release", id=self.acting)
-
-    def ask_again(self) -> None:
-        """Have the client ask for the result until it is told: a request to a server that is being found is lost."""
-
-        def told() -> bool:
-            self.client.ask("ask_result", id=self.id)
-            return bool(self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=1.0)["ends"])
-
-        with contextlib.suppress(AssertionError):  # `end` tells that there was none
-            until(told, "a result", SECONDS)
 
     def end(self) -> End:
         """Wait for the end that the client is told, and for a second one that must not come."""
@@ -208,12 +208,11 @@ def client_killed(scene: Scene, server: str, client: str) -> End:
 
 
 def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
-    """A worker dies. A client on ROS 2 whose own worker died asks again, as it has to where a server was restarted."""
+    """A worker dies. A client on ROS 2 whose own worker died waits for the result: the next one brings it."""
     goal = scene.goal(server, client)
     scene.kill_worker(worker)
     if (worker, client) == ("ros2", ROS2):
         goal.release()
-        goal.ask_again()
     return goal.end()
 
 

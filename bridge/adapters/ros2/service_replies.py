@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from bridge.adapters.ros2.service_later import Later
 from bridge.adapters.ros2.service_rcl import RequestId
@@ -19,9 +20,10 @@ from bridge.adapters.ros2.service_window import ROOM
 _REPLY_SECONDS = 0.001
 """Time that a client is given to take a reply, where it asked for many; rclpy's take some 0.15 ms."""
 
-_TRIES = 20
-_TRY_SECONDS = 0.1
-"""A client that asks is found by us a moment later, sometimes: rmw itself waits as long for it, and then gives up."""
+_TRY_SECONDS, _SELDOM = 0.1, 1.0
+_PATIENCE = 20.0
+"""Seconds for which a client that asked is looked for: on a busy machine what DDS tells of it may come after its
+heartbeats alone, each 3 s. rmw itself waits 0.1 s for it, and then gives up."""
 
 _log = logging.getLogger(__name__)
 
@@ -41,7 +43,7 @@ class Replies:
         self._asked = 0
         self._credit = float(ROOM)
         self._last = time.monotonic()
-        self._tries = 0
+        self._missed: float | None = None
         self._reached = self._sending = False
 
     @property
@@ -90,7 +92,7 @@ class Replies:
                     return
                 request, payload = self._outbox.popleft()
             if self._write(request, payload):
-                self._reached = True
+                self._reached, self._missed = True, None
             elif self._waits(request, payload):
                 return
 
@@ -106,11 +108,14 @@ class Replies:
 
     def _waits(self, request: RequestId, payload: bytes) -> bool:
         """Give a client that cannot be reached some time; False when it had enough."""
+        now = time.monotonic()
         with self._lock:
-            self._tries += 1
-            if self._tries < _TRIES:
+            if self._missed is None:
+                self._missed = now
+            missed = now - self._missed
+            if missed < _PATIENCE:
                 self._outbox.appendleft((request, payload))
-                self._later.after(_TRY_SECONDS, self._go_on)
+                self._later.after(min(max(missed / 4, _TRY_SECONDS), _SELDOM), self._go_on)
                 return True
         _log.warning("a ROS 2 client could not be reached with its reply")
         return False
@@ -120,4 +125,5 @@ class Replies:
         with self._lock:
             rest, self._outbox = list(self._outbox), deque()
         for request, payload in rest:
-            self._write(request, payload)
+            if not self._write(request, payload):
+                self._later.after(_TRY_SECONDS, partial(self._write, request, payload))

@@ -21,6 +21,10 @@ from bridge.adapters.ros2.service_replies import Replies
 from bridge.hub.call import Abandon, Call, CallError
 
 _LOOK = 0.5
+_LINGER = 1.0
+"""Seconds for which a server stays after its last words: they may wait to be sent, and a client that hears of its end
+before them drops them."""
+
 _MOST_CLIENTS = 1000
 _LOG_SECONDS = 10.0
 
@@ -68,13 +72,16 @@ class Ros2Server(Reader, EdgeServer):
         self._asked: dict[RequestId, _Asked] = {}
         self._clients: dict[bytes, Replies] = {}
         self._looking = self._closed = False
-        self._complained = float("-inf")
+        self._complained = self._spoke = float("-inf")
         self._handle = parts.participant.make_server(service_class, name, SERVICE)
         # Held until `destroy`, so that the pointer stays good whatever thread closes the server.
         self._handle.__enter__()
         self._pointer = int(self._handle.pointer)
         self._alive = threading.Lock()
         self._destroyed = False
+        self._unanswered = parts.unanswered
+        for request, payload in self._unanswered.left(name):
+            self._later.after(0.0, partial(self._begin, request, payload, 0))
         self._loop.add(self)
 
     @property
@@ -106,6 +113,7 @@ class Ros2Server(Reader, EdgeServer):
             if self._closed:
                 return
             self._asked[request] = asked
+            self._unanswered.asked(self.name, request, payload)
             self._client(request.gid).asked(backlog)
             self._look_soon()
         try:
@@ -128,10 +136,13 @@ class Ros2Server(Reader, EdgeServer):
             why = str(result) if isinstance(result, CallError) else "the reply is no little-endian CDR"
             refusal = self._refuse(why)
             if refusal is None:
+                self._unanswered.answered(asked.id)
                 client.unanswered()
                 return
             result = refusal
+        self._spoke = time.monotonic()
         client.send(asked.id, result)
+        self._unanswered.answered(asked.id)
 
     def _client(self, gid: bytes) -> Replies:
         found = self._clients.get(gid)
@@ -184,6 +195,7 @@ class Ros2Server(Reader, EdgeServer):
                 return
             asked.left, abandon = True, asked.abandon
             self._clients.pop(asked.id.gid, None)
+        self._unanswered.answered(asked.id)
         if abandon is not None:
             abandon()
 
@@ -216,7 +228,10 @@ class Ros2Server(Reader, EdgeServer):
             clients = list(self._clients.values())
         for client in clients:
             client.flush()
-        self._loop.remove(self)
+        if self._spoke > time.monotonic() - _LINGER:
+            self._later.after(_LINGER, partial(self._loop.remove, self))
+        else:
+            self._loop.remove(self)
         self._on_closed(self)
 
     def destroy(self) -> None:

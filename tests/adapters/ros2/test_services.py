@@ -205,6 +205,22 @@ def test_native_client_is_answered(edge: RunningEdge, peer: Peers, set_bool: Ser
     server.close()
 
 
+def test_last_words_of_a_server_reach_its_clients(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
+    """What ends a call, as the death of its server on the hub, closes the server on DDS in the same moment."""
+    native, last = peer(), set_bool.response(message="last words")
+    servers = []
+    for number in range(20):
+        name, asked = f"/s/last{number}", Asked()
+        server = edge.edge.serve(name, set_bool.type, asked.call)
+        servers.append((call(native, name), asked, server))
+    for _, asked, server in servers:
+        ((_, done),) = asked.wait()
+        done(last)
+        server.close()
+    for called, _, _ in servers:
+        assert native.ask("result", id=called, seconds=10)["reply"] == {"success": False, "message": "last words"}
+
+
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
     native, asked = peer(), Asked()
     edge.edge.serve("/s/order", echo.type, asked.call)
