@@ -115,6 +115,7 @@ class Hub:
         self.graph = HubGraph(session, settings.domain, settings.max_tokens)
         self._control = Control(session, settings.domain, settings.daemon, settings.worker)
         self._errands = Errands("hub-errands")
+        self._asking = Errands("hub-asking")
         self._heartbeats = Heartbeats("hub-heartbeats")
         self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
@@ -218,7 +219,7 @@ class Hub:
             limit = self.max_payload
             drop = self._endpoints.discard
             subscription = HubSubscription(
-                self._session, self.graph, token, key, topic, qos, limit, self._errands, callback, drop, refused
+                self._session, self.graph, token, key, topic, qos, limit, self._asking, callback, drop, refused
             )
             self._endpoints.add(subscription)
             return subscription
@@ -294,6 +295,7 @@ class Hub:
         for space in self._spaces:
             space.close()
         self._errands.close()
+        self._asking.close()
         self._heartbeats.close()
         self.graph.close()
         self._control.close()
