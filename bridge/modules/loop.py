@@ -22,7 +22,7 @@ Action = Callable[[], Any]
 class Loop:
     """Runs actions in order on one thread. Safe to use from any thread.
 
-    What is posted is bounded by who posts it: a subscription posts itself once, however many messages wait in it.
+    What is posted is bounded by who posts it: a subscription posts itself once for each message in its bounded queue.
 
     Args:
         name: of the thread.

@@ -78,10 +78,10 @@ class Subscription:
             full = len(self._queue) > self._depth
             if full:
                 self._queue.popleft()
-            wake = len(self._queue) == 1
         if full:
             self.counters.dropped("queue")
-        if wake or full:
+        else:
+            # one for each sample: it keeps its place among what else was posted, such as the timers of a clock
             self._loop.post(self._run)
 
     def refused(self, reason: str, why: str) -> None:
@@ -92,9 +92,6 @@ class Subscription:
     def _run(self) -> None:
         with self._lock:
             sample = self._queue.popleft() if self._queue else None
-            more = bool(self._queue)
-        if more:
-            self._loop.post(self._run)
         if sample is None:
             return
         try:
