@@ -14,6 +14,10 @@ _HEADER = 4
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_TOPIC = "/clock"
+DONE_TOPIC = "/sim/acknowledge"
+"""Where whoever runs on a simulation's clock says that it is done with a time, so that the next step may come."""
+
+DONE_TYPE = "std_msgs/msg/Header"
 
 Jumped = Callable[[], None]
 """Hears that time was set back: what depends on it is to be forgotten."""
@@ -32,6 +36,7 @@ class RunClock:
         self._lock = threading.Lock()
         self._jumped: list[Jumped] = []
         self._heard: list[Callable[[int], None]] = []
+        self._after: list[Callable[[int], None]] = []
 
     def now_ns(self) -> int:
         """Nanoseconds since 1970, or of the simulation; 0 until that has said the time."""
@@ -51,7 +56,7 @@ class RunClock:
         with self._lock:
             back, self._now = found < self._now, found
             jumped = tuple(self._jumped) if back else ()
-            heard = tuple(self._heard)
+            heard = (*self._heard, *self._after)
         if back:
             _log.warning("%s was set back to %.3f s", CLOCK_TOPIC, found / 1e9)
         for forget in jumped:
@@ -64,10 +69,16 @@ class RunClock:
         self._jumped.append(jumped)
         return lambda: _discard(self._jumped, jumped)
 
-    def on_time(self, heard: Callable[[int], None]) -> Callable[[], None]:
-        """Tell each time of a simulation, until the returned function is called; on the thread that hears it."""
-        self._heard.append(heard)
-        return lambda: _discard(self._heard, heard)
+    def on_time(self, heard: Callable[[int], None], *, last: bool = False) -> Callable[[], None]:
+        """Tell each time of a simulation, until the returned function is called; on the thread that hears it.
+
+        Args:
+            heard: hears it, in nanoseconds.
+            last: after all others have.
+        """
+        among = self._after if last else self._heard
+        among.append(heard)
+        return lambda: _discard(among, heard)
 
 
 SYSTEM = RunClock()

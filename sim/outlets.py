@@ -35,11 +35,11 @@ class Outlets:
         self._scan = node.publisher(names.scan, "sensor_msgs/msg/LaserScan")
         self._truth = node.publisher(names.truth, "nav_msgs/msg/Odometry")
         self._battery = node.publisher(names.battery, "sensor_msgs/msg/BatteryState")
-        self._bumper = node.publisher(names.bumper, "std_msgs/msg/Bool", priority="state")
+        self._bumper = node.publisher(names.bumper, "std_msgs/msg/Bool")
         self._static = node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", _LATCHED, priority="state")
         self._odometry = node.publisher(names.odometry, "nav_msgs/msg/Odometry") if self._drives else None
         self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage") if self._drives else None
-        self._clock = node.publisher(CLOCK_TOPIC, CLOCK_TYPE, priority="state") if clock else None
+        self._clock = node.publisher(CLOCK_TOPIC, CLOCK_TYPE) if clock else None
         self._view = node.publisher(names.view, "sensor_msgs/msg/Image") if section.view else None
         self._every_view = max(1, round(1e9 / section.view / TICK_NS)) if section.view else 0
         self._ticks = 0
@@ -76,6 +76,7 @@ class Outlets:
 
             self._view.publish(messages.image(time_ns, draw(simulation)))
         if self._clock is not None:
+            # the last, and with the priority of the rest: who hears the time has heard what was measured at it
             self._clock.publish({"clock": messages.stamp(time_ns)})
 
     def _tell_pose(self, time_ns: int) -> None:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from bridge.clock import DONE_TOPIC, DONE_TYPE
 from bridge.config.sections.section import Section
 from bridge.config.sections.sim import SimSection
 from bridge.hub.qos import Qos, Reliability
@@ -48,7 +49,7 @@ class Simulator(Module):
             node.subscription(names.velocity, "geometry_msgs/msg/Twist", self._velocity, _NEWEST)
         else:
             node.subscription(names.wheels, "sensor_msgs/msg/JointState", self._wheels, _NEWEST)
-        node.subscription("/sim/acknowledge", "std_msgs/msg/Header", self._stepping.acknowledge)
+        node.subscription(DONE_TOPIC, DONE_TYPE, self._stepping.acknowledge)
         for name, (kind, do) in Wishes(self.simulation).services().items():
             node.server(name, kind, answered(do))
         node.server("/sim/reset", "std_srvs/srv/Trigger", answered(self._reset))

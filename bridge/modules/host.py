@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bridge.clock import RunClock
+from bridge.clock import DONE_TOPIC, DONE_TYPE, RunClock
 from bridge.config.model import Config
 from bridge.config.state import worker_folder
 from bridge.hub.clock import follow
@@ -63,6 +63,9 @@ class Host:
         follow(self.clock, hub)
         self.node = Node(hub, registry, self.loop, self.clock)
         self.yarp = Ports(config)
+        if self.clock.simulated:
+            self._done = self.node.publisher(DONE_TOPIC, DONE_TYPE)
+            self.clock.on_time(self._acknowledge, last=True)
 
     @property
     def folder(self) -> Path:
@@ -91,6 +94,12 @@ class Host:
             if self.clock.simulated
             else self.loop.every(seconds, action)
         )
+
+    def _acknowledge(self, now: int) -> None:
+        """Tell a simulation that the module has done what was due at a time: its timers' actions were posted before."""
+        seconds, nanoseconds = divmod(now, 1_000_000_000)
+        said = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.name}
+        self.loop.post(lambda: self._done.publish(said))
 
     def on_jump(self, forget: Callable[[], Any]) -> None:
         """Have the module forget what depends on time when the clock is set back, on the module's thread."""
