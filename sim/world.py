@@ -104,7 +104,9 @@ class World:
 
     def _filter(self) -> None:
         """Wheels touch the floor and nothing else: as spheres they would stick out of the base."""
-        none = dartpy().collision.BodyNodeCollisionFilter()
+        # the options are a copy, the filter in them is the solver's own
+        none = self._world.getConstraintSolver().getCollisionOption().collisionFilter
+        none.removeAllBodyNodePairsFromBlackList()
         others = [self._fixed.getBodyNode(0), *(crate.skeleton.getBodyNode(0) for crate in self.crates.values())]
         for wheel in self.base.wheels:
             none.addBodyNodePairToBlackList(wheel, self.base.body)
@@ -112,7 +114,6 @@ class World:
                 none.addBodyNodePairToBlackList(wheel, other)
         if len(self.base.wheels) > 1:
             none.addBodyNodePairToBlackList(*self.base.wheels)
-        self._world.getConstraintSolver().getCollisionOption().collisionFilter = none
 
     def _see(self) -> None:
         """What the laser sees of the things that stand fast."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def test_random_driving_stays_in_the_room() -> None:
     )
     rng = np.random.default_rng(7)
     for _ in range(60):
-        turn_wheels(there, 0.2, *rng.uniform(-7, 7, 2))
+        turn_wheels(there, 0.2, *(rng.choice([-4.0, 4.0, 4.0]) + rng.uniform(-1, 1, 2)))
         assert max(abs(v) for v in there.base.pose()[:2]) < INSIDE - REACH + 0.01
         assert max(abs(v) for v in (there.world.crates["a"].now().x, there.world.crates["a"].now().y)) < INSIDE
 
@@ -58,6 +59,15 @@ def test_a_stalled_wheel_does_not_climb_and_odometry_stops_with_it() -> None:
     assert abs(y) < 0.02
     assert tilt(there) < 2
     assert there.bumps[0][0] == pytest.approx(INSIDE, abs=0.01)
+
+
+def test_beside_a_wall_there_is_room_for_the_tyres() -> None:
+    """In DART a wheel is a sphere, which would stick out of the base by 0.16 m."""
+    there = simulation(start=(-1.5, INSIDE - REACH - 0.03, 0.0))
+    drive(there, 5, 0.3)
+    assert there.base.pose().x > -0.2
+    assert there.base.pose().y == pytest.approx(INSIDE - REACH - 0.03, abs=0.001)
+    assert not there.bumps
 
 
 def square(there: Simulation, side: float) -> None:
@@ -213,7 +223,17 @@ def test_the_battery_runs_down_faster_while_driving() -> None:
     assert busy.battery.charge.current < rest.battery.charge.current < 0
 
 
-def test_robots_are_described_in_files(tmp_path: object) -> None:
+def test_robots_are_described_in_files(tmp_path: Path) -> None:
+    own = tmp_path / "mine.yaml"
+    text = (Path(robot.__file__).parent / "robots" / "r1.yaml").read_text()
+    own.write_text(text.replace("separation: 0.338", "separation: 0.5").replace("name: r1", "name: mine"))
+    there = simulation(robot=str(own))
+    drive(there, 3, 0.0, 0.5)
+    assert there.base.pose().yaw == pytest.approx(there.estimate.pose.yaw, abs=0.01)
+    assert there.robot.name == "mine"
+    own.write_text(text.replace("torque: 30.0", "torque: none"))
+    with pytest.raises(SimError, match=r"mine.yaml:13:\d+: wheels.torque"):
+        robot.load(str(own))
     data = robot.load("r1").model_dump()
     with pytest.raises(ValidationError, match="'ikart_V2' are not written yet"):
         robot.Robot.model_validate({**data, "kinematics": "ikart_V2"})
