@@ -65,7 +65,7 @@ class Extras:
             elif line:
                 try:
                     extras._take(section, line)
-                except (ValueError, TypeError) as error:
+                except (ValueError, TypeError, IndexError) as error:
                     raise MapFileError(f"{source}, line {number}: {error}: {line:.100}") from None
         return extras
 

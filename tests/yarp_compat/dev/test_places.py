@@ -127,6 +127,7 @@ LIFT = MapLink("up", "down", 12.5)
         ("Version:\n1\nBehaviours:\na max_speed=0\n", "line 4: max_speed"),
         ("Version:\n1\nBehaviours:\na keep_out\na keep_out\n", "there already"),
         ("Version:\n1\nLinks:\nlift a b\n", "line 4"),
+        ("Version:\n1\nLinks:\n(lift a b\n", "line 4"),
         ("Version:\n1\nLinks:\nlift a a 1\n", "two locations"),
         ("Version:\n1\nLinks:\nlift a b x\n", "line 4"),
     ],
