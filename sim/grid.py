@@ -21,7 +21,7 @@ _DARK = 128
 
 
 def of_map_file(file: Path) -> Plan:
-    """A plan of a YARP map (.map) or a ROS map (.yaml): walls and keep-out cells are solid, the unknown is not.
+    """A plan of a YARP map (.map) or a ROS map (.yaml): walls are solid, what is unknown or kept out of is not.
 
     Raises:
         SimError: it is no map, or too large.
