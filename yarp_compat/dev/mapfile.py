@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def write(path: Path, *content: Buffer | str) -> None:
     Raises:
         MapFileError: it cannot be written.
     """
-    fresh = path.with_name(f".{path.name}.{os.getpid()}.new")
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.new")
     data = [part.encode("utf-8", "surrogateescape") if isinstance(part, str) else part for part in content]
     try:
         try:
