@@ -53,10 +53,6 @@ class Intake:
         """Where the maps come from."""
         return self._rule.topic
 
-    def others(self) -> list[HubEndpoint]:
-        """Who publishes such maps, other than map servers of Midspan."""
-        return [each for each in self._host.node.hub.graph.publishers(self.topic) if not is_ours(each)]
-
     def _heard(self, message: Message) -> None:
         self._waiting = (self._end.sender, message)
         if not self._due:

@@ -58,11 +58,6 @@ class CurrentMap:
             self._silent = silent
             self._publish()
 
-    @property
-    def silent(self) -> bool:
-        """Whether somebody else publishes the map."""
-        return self._silent
-
     def message(self) -> Message | None:
         """The map as ``OccupancyGrid``; None where there is none."""
         return None if self.grid is None else self.message_of(self.grid)
