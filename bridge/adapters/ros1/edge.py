@@ -73,6 +73,7 @@ class Ros1Edge(Edge):
         self._prober = Prober(self._lanes, self._caller, self._probed)
         self._names = names.NameTable()
         self._lock = threading.Lock()
+        self._following = threading.Lock()  # what was known before must not be followed after what is known now
         self._look: Look | None = None
         self._publishers: frozenset[Link] = frozenset()
         self._check_due = 0.0
@@ -280,11 +281,12 @@ class Ros1Edge(Edge):
             subscriptions = list(self._subscriptions)
         if not subscriptions:
             return
-        by_topic: dict[str, dict[Link, Facts]] = {}
-        for link, facts in self._prober.facts().items():
-            by_topic.setdefault(link.topic, {})[link] = facts
-        for opened in subscriptions:
-            opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
+        with self._following:
+            by_topic: dict[str, dict[Link, Facts]] = {}
+            for link, facts in self._prober.facts().items():
+                by_topic.setdefault(link.topic, {})[link] = facts
+            for opened in subscriptions:
+                opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
 
     def _watch_others(self, look: Look | None) -> None:
         """Follow the entries of the other Midspan nodes; while the master is away the nodes still tell each other."""

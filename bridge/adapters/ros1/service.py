@@ -59,6 +59,7 @@ class Services:
         self._loop = Loop("midspan-ros1-calls")
         self._prober = Prober(lanes, node, self._probed, self._handshake, "server")
         self._lock = threading.Lock()
+        self._following = threading.Lock()  # what was known before must not be followed after what is known now
         self._links: frozenset[Link] = frozenset()
         self._callers: set[Caller] = set()
         self._check_due = 0.0
@@ -169,11 +170,12 @@ class Services:
             callers = list(self._callers)
         if not callers:
             return
-        servers = {link.topic: (link, facts) for link, facts in self._prober.facts().items() if facts.native}
-        for caller in callers:
-            link, facts = servers.get(caller.name, (None, None))
-            fits = facts is not None and (caller.md5 == facts.md5 or caller.md5 in _ANY_MD5)
-            caller.follow(link if fits else None)
+        with self._following:
+            servers = {link.topic: (link, facts) for link, facts in self._prober.facts().items() if facts.native}
+            for caller in callers:
+                link, facts = servers.get(caller.name, (None, None))
+                fits = facts is not None and (caller.md5 == facts.md5 or caller.md5 in _ANY_MD5)
+                caller.follow(link if fits else None)
 
 
 class _Open:

@@ -54,8 +54,19 @@ class Actions:
         return {parts.name_of(name, p) for name in self._found.servers for p in (*parts.SERVICES, *parts.TOPICS)}
 
     def is_part(self, topic: str, type_name: str) -> bool:
-        """Whether a topic is one of an action's five, and so does not cross as a topic."""
-        return type_name in ("", "*", self._found.topics.get(topic)) and topic in self._found.topics
+        """Whether a topic is one of an action's five, and so does not cross as a topic.
+
+        Those that are served or called here are that too while a node has registered only some of them: a topic heard
+        twice costs messages, since a publisher of rospy's keeps one connection from each node.
+        """
+        wanted = self._found.topics.get(topic) or self._in_use(topic.rpartition("/")[0]).get(topic)
+        return wanted is not None and type_name in ("", "*", wanted)
+
+    def _in_use(self, action: str) -> Mapping[str, str]:
+        """The topics of an action that is served or called here, and their types."""
+        served = self._served.get(action)
+        types = [served.type] if served is not None else [t for name, t in list(self._callers) if name == action]
+        return finding.topics_of(action, types[-1]) if types and types[-1] else {}
 
     def endpoints(self) -> Iterator[Endpoint]:
         """The other nodes' actionlib servers, each as ROS 2 has it."""

@@ -48,6 +48,11 @@ class ServedAction:
     # -- the parts -----------------------------------------------------------------------------------------------------
 
     @property
+    def type(self) -> str:
+        """The action's type, "" where it is not told yet."""
+        return self._type
+
+    @property
     def in_use(self) -> bool:
         """Whether a part of it is open."""
         return self._parts > 0
