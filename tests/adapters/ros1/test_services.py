@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import signal
+import socket
 import struct
 import subprocess
 import time
@@ -14,7 +15,6 @@ import pytest
 
 from tests.adapters.ros1.parts import edge_on
 from tests.adapters.ros1.servers import tcp_server, until_closed
-from tests.support.ports import free_port
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
 
@@ -355,8 +355,9 @@ def test_servers_that_misbehave(master, edge):
     def silent(sock) -> None:
         until_closed(sock)
 
-    dead = free_port()
-    with tcp_server(silent) as (host, port):
+    with tcp_server(silent) as (host, port), socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))  # nobody listens there, and nobody else may meanwhile
+        dead = deaf.getsockname()[1]
         for name, address in (("/odd/silent", f"rosrpc://{host}:{port}"), ("/odd/dead", f"rosrpc://127.0.0.1:{dead}")):
             master.call("registerService", name, address, "http://127.0.0.1:1/")
         with master.peer("beside") as peer:
