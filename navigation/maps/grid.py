@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.messages.cache import compiled
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, looked_up, too_large
+from navigation.maps.kernels import joining, parting
+from yarp_compat.dev.mapflag import MAX_CELLS, too_large
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 
@@ -65,38 +62,9 @@ def occupied(grid: MapGrid2D) -> NDArray[np.int8]:
     Returns:
         0 to 100, or -1, of shape (height * width,), rows from the bottom up.
     """
-    data = np.empty((grid.m_height, grid.m_width), np.uint8)
-    _join()(np.ascontiguousarray(grid.occupancy), np.ascontiguousarray(grid.flags), _VALUES, data)
-    return data.view(np.int8).reshape(-1)
-
-
-def _values() -> NDArray[np.uint8]:
-    """What a cell is in the grid, by its flag and its occupancy."""
-    occupancy = np.arange(256)
-    table = np.tile(np.where(occupancy <= 100, occupancy, UNKNOWN).astype(np.uint8), (256, 1))
-    table[MapFlag.WALL] = np.where((occupancy >= 50) & (occupancy <= 100), occupancy, 100)
-    table[MapFlag.UNKNOWN] = UNKNOWN
-    return table
-
-
-_VALUES = _values()
-_KNOWN = _VALUES[MapFlag.FREE]
-
-
-def _joined(
-    occupancy: NDArray[np.uint8], flags: NDArray[np.uint8], values: NDArray[np.uint8], data: NDArray[np.uint8]
-) -> None:
-    height = len(occupancy)
-    for row in range(height):
-        cells, marks, out = occupancy[row], flags[row], data[height - 1 - row]
-        for column in range(len(cells)):
-            out[column] = values[marks[column], cells[column]]
-
-
-@cache
-def _join() -> Any:
-    cells = numba.uint8[:, ::1]
-    return compiled(_joined, numba.void(cells, cells, cells, cells), [Path(__file__)])
+    values = np.empty((grid.m_height, grid.m_width), np.uint8)
+    joining()(np.ascontiguousarray(grid.occupancy), np.ascontiguousarray(grid.flags), values)
+    return values.view(np.int8).reshape(-1)
 
 
 def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
@@ -115,10 +83,11 @@ def from_grid(message: Mapping[str, Any], name: str) -> MapGrid2D:
         raise ValueError(too_large(width, height))
     if not width * height or data.shape != (width * height,):
         raise ValueError(f"an OccupancyGrid of {width} x {height} cells does not have {data.size} of them")
-    occupancy = looked_up(data.view(np.uint8).reshape(height, width)[::-1], _KNOWN)
+    occupancy, flags = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
+    parting()(np.ascontiguousarray(data).view(np.uint8).reshape(height, width), occupancy, flags)
     place, turn = info["origin"]["position"], info["origin"]["orientation"]
     origin = MapGrid2DOrigin.from_ros(place["x"], place["y"], yaw_of(turn))
-    return MapGrid2D.of(flags_of(occupancy), occupancy, name=name, resolution=float(info["resolution"]), origin=origin)
+    return MapGrid2D.of(flags, occupancy, name=name, resolution=float(info["resolution"]), origin=origin)
 
 
 def yaw_of(turn: Mapping[str, float]) -> float:
