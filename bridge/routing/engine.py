@@ -40,7 +40,7 @@ _log = logging.getLogger(__name__)
 _PULSE = 0.1
 _TICK = 1.0
 _LOOK = 10.0  # a look without being woken, should a change ever go untold
-_SHARE, _LONGEST = 1000, 60.0  # nor sooner than after so many times what the last one took: 0.1 % of a core
+_SHARE, _LONGEST = 1000, 60.0  # nor sooner than after so many times what the last one cost: 0.1 % of a core
 _RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
 _STOOD_STILL = 1.0
@@ -187,14 +187,15 @@ class Engine:
             now = time.monotonic()
             if woken or now >= look:
                 self._wake.clear()
+                cost = time.thread_time()
                 try:
                     self._reconcile()
                 except Exception as err:
                     _log.exception("%s: following the graphs failed", self.edge.side)
                     self._on_failure(f"following the graphs failed: {err}")
                     return
-                took = time.monotonic() - now
-                pause = _RETRY if any(v.refused for v in self._verdicts) else max(_LOOK, min(_SHARE * took, _LONGEST))
+                cost = time.thread_time() - cost
+                pause = _RETRY if any(v.refused for v in self._verdicts) else max(_LOOK, min(_SHARE * cost, _LONGEST))
                 look = now + pause
                 self._stopping.wait(_SETTLE)
             if now >= tick:
