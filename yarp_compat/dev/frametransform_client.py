@@ -143,9 +143,14 @@ class TransformClient(IFrameTransform):
         Raises:
             TransformError: one is not known, or they are not connected.
         """
-        if timeout > 0.0:
-            self.wait_until(lambda tree: tree.connected(child, parent), timeout)
-        return self.tree().pose(child, parent)
+        deadline = time.monotonic() + timeout
+        while True:
+            try:
+                return self.tree().pose(child, parent)
+            except TransformError:
+                if time.monotonic() >= deadline:
+                    raise
+            self._await(deadline)
 
     def points(self, points: ArrayLike, child: str, parent: str) -> NDArray[np.float64]:
         """Points (N, 3) or (3) that one frame sees, as another does. Errors as `pose`."""
@@ -222,12 +227,16 @@ class TransformClient(IFrameTransform):
         """Wait until something holds of the frames; whether it does in time."""
         deadline = time.monotonic() + timeout
         while not known(self.tree()):
-            left = deadline - time.monotonic()
-            if left <= 0:
+            if time.monotonic() >= deadline:
                 return False
-            with self._came:
-                self._came.wait(min(left, _POLL if self._input is None else _AGAIN))
+            self._await(deadline)
         return True
+
+    def _await(self, deadline: float) -> None:
+        """Wait until it is worth to look again."""
+        left = max(deadline - time.monotonic(), 0.0)
+        with self._came:
+            self._came.wait(min(left, _POLL if self._input is None else _AGAIN))
 
     def _fetched(self) -> list[FrameTransform]:
         outcome, transforms = self._getter.remote.getTransformsRPC()

@@ -11,14 +11,14 @@ from dataclasses import replace
 from bridge.tf.buffer import TransformBuffer
 from bridge.tf.errors import Refusal
 from bridge.tf.server.clock import YarpClock
-from bridge.tf.server.view import View
+from bridge.tf.server.view import ANY, View
 from bridge.tf.stamped import Stamped, read, write
 from yarp_compat.dev.frametransform import FrameTransform
 
 _log = logging.getLogger(__name__)
 
-YARP, HUB = "yarp", "hub"
-"""The authorities of frames."""
+YARP = "yarp"
+"""The authority of frames that YARP programs set."""
 
 _HARMLESS = (None, Refusal.OLD_DATA, Refusal.REPEATED_DATA)
 """What is no error of who set a transform: YARP's own servers keep the newest, and say nothing."""
@@ -78,16 +78,16 @@ class Exchange:
                 self.buffer.remove(child)
             if static != sum(1 for _ in self.view.own_static()):
                 self._tell_static()
-            if not gone and self.view.heard(one, other):
+            if not gone and ANY not in (one, other) and self.view.heard(one, other):
                 _log.warning("%s, %s cannot be deleted by YARP programs: another side says it", one, other)
         return bool(gone)
 
-    def hear(self, cdr: bytes, *, static: bool) -> None:
-        """Take up a message of the hub."""
+    def hear(self, cdr: bytes, authority: str, *, static: bool) -> None:
+        """Take up a message of the hub, and who sent it."""
         stamped = read(cdr)
         with self._lock:
             for transform, refusal in zip(
-                stamped, self.buffer.set_transforms(stamped, HUB, static=static), strict=True
+                stamped, self.buffer.set_transforms(stamped, authority, static=static), strict=True
             ):
                 if refusal is None or refusal is Refusal.REPEATED_DATA:  # who says it again says that it holds
                     self.view.hear(transform, static=static)

@@ -14,6 +14,7 @@ from bridge.hub.qos import Durability, Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.tf.buffer import TransformBuffer
+from bridge.tf.server.authorities import Authorities
 from bridge.tf.server.buffer_server import BufferServer
 from bridge.tf.server.clock import YarpClock
 from bridge.tf.server.exchange import Exchange
@@ -45,15 +46,17 @@ class TransformServer(Module):
         tf_static = host.node.publisher(TF_STATIC, TF_TYPE, latched, priority="state")
         self._exchange = Exchange(self._buffer, self._view, clock, tf.publish_cdr, tf_static.publish_cdr)
 
+        authorities = Authorities(host.node.hub.graph)
+
         def hear(cdr: bytes) -> None:
-            self._exchange.hear(cdr, static=False)
+            self._exchange.hear(cdr, authorities.name(timed.sender), static=False)
 
         def hear_static(cdr: bytes) -> None:
-            self._exchange.hear(cdr, static=True)
+            self._exchange.hear(cdr, authorities.name(static.sender), static=True)
 
-        host.node.subscription_cdr(TF, TF_TYPE, hear, Qos(depth=_DEPTH))
+        timed = host.node.subscription_cdr(TF, TF_TYPE, hear, Qos(depth=_DEPTH))
         every = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
-        host.node.subscription_cdr(TF_STATIC, TF_TYPE, hear_static, every)
+        static = host.node.subscription_cdr(TF_STATIC, TF_TYPE, hear_static, every)
         host.on_jump(self._exchange.forget_timed)
 
         self._served = BufferServer(host.node, self._buffer) if section.buffer_server else None

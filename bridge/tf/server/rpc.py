@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from bridge.tf.server.exchange import Exchange
+from bridge.tf.server.view import ANY
 from yarp_compat.dev.frametransform import FrameTransform
 from yarp_compat.dev.frametransformstorage import FrameTransformStorageGetRPC, FrameTransformStorageSetRPC
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnValue
@@ -38,14 +39,14 @@ class Setter(FrameTransformStorageSetRPC):
 
     def deleteTransformRPC(self, src: str, dst: str) -> ReturnValue:
         """Forget what YARP programs set between two frames; as in YARP it fails where two named ones have nothing."""
-        if not self._exchange.delete(src, dst) and "*" not in (src, dst):
+        if not self._exchange.delete(src, dst) and ANY not in (src, dst):
             raise CallFailed(reason=f"no YARP program set anything between {src} and {dst}")
         self._changed()
         return OK
 
     def clearAllRPC(self) -> ReturnValue:
         """Forget all that YARP programs set."""
-        return self.deleteTransformRPC("*", "*")
+        return self.deleteTransformRPC(ANY, ANY)
 
 
 class Getter(FrameTransformStorageGetRPC):

@@ -53,7 +53,7 @@ class Place:
 
     def hear(self, parent: str, child: str, stamp: int | None = None, *, static: bool = False, x: float = 0.0) -> None:
         stamp = self.run.now_ns() if stamp is None else stamp
-        self.exchange.hear(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), static=static)
+        self.exchange.hear(write([Stamped(parent, child, stamp, (x, 0.0, 0.0), UNIT)]), "/node", static=static)
 
     def seen(self) -> dict[str, FrameTransform]:
         return {transform.dst_frame_id: transform for transform in self.exchange.give()}
@@ -166,8 +166,10 @@ def test_frames_of_other_sides_are_not_yarps_to_delete(place: Place, caplog: pyt
     with pytest.raises(CallFailed):
         rpc.deleteTransformRPC("base", "lidar")
     assert "another side says it" in caplog.text
+    caplog.clear()
     rpc.clearAllRPC()
     assert list(place.seen()) == ["lidar"]
+    assert not caplog.text
 
 
 def test_names_are_as_the_yarp_program_wrote_them_and_without_slash_on_the_hub(place: Place, clock: Stopped) -> None:
@@ -235,7 +237,7 @@ def test_the_newest_parent_wins_and_both_are_told(place: Place, clock: Stopped) 
     clock.system += 0.01
     place.set(frame("map", "base", clock.system))
     assert place.seen()["base"].src_frame_id == "map"
-    assert {s.authority for s in place.buffer.conflicts()[0].sources} == {"hub", "yarp"}
+    assert {s.authority for s in place.buffer.conflicts()[0].sources} == {"/node", "yarp"}
 
 
 def simulated(seconds: float) -> RunClock:
