@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -197,9 +198,14 @@ def test_files_of_a_yarp_client(served: Served) -> None:
                     call(name)
         with pytest.raises(CallFailed):
             client.maps.reload()
-        (folder / "evil.map").write_text("MapName x\nYarpMapData /etc/passwd\n")
-        with pytest.raises(CallFailed):
-            client.maps.load("evil.map")
+        outside = served.folder / "outside"
+        outside.mkdir()
+        grid.save(outside / "office.map")
+        for flags in (outside / "office_yarpflags.ppm", "../../../outside/office_yarpflags.ppm"):
+            (folder / "evil.map").write_text(f"MapName x\nYarpMapData {flags}\n")
+            with pytest.raises(CallFailed):
+                client.maps.load("evil.map")
+        shutil.rmtree(outside)
         (folder / "evil.map").unlink()
         assert [path for path in sorted(served.folder.rglob("*")) if "sqlite" not in path.name] == [
             path for path in before if "sqlite" not in path.name
