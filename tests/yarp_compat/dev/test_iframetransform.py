@@ -250,6 +250,9 @@ def test_transforms_are_read_at_once_as_field_by_field() -> None:
         for size in range(len(payload)):
             with pytest.raises(WireError):
                 FrameTransform.from_bytes(payload[:size], profile)
+        static = payload.rindex(b"\x20\0\0\0\x01")
+        with pytest.raises(WireError, match="isStatic"):
+            FrameTransform.from_bytes(payload[:static] + b"\x63" + payload[static + 1 :], profile)
     by_hand = ["map", "base", 1, 0, 1, 2, 3, 0, 0, 0, 1]  # integers, as somebody types them
     read = FrameTransform()
     read.from_values(by_hand)
