@@ -8,8 +8,8 @@ far but ``since`` first ones, after ``count`` have come or the time is over); ``
 [types]}, publishers {topic: [nodes]}, subscriptions {topic: [nodes]}; ``count`` id, first, count, rate: publish
 so many ``std_msgs/String`` that hold numbers from ``first`` on, per second ``rate``, beside other commands;
 ``counted`` id, now: wait for its end (or end it now) -> sent; ``tally`` id, since -> received, distinct numbers,
-``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since`` on;
-``exit``.
+``last``: ``time.monotonic()`` at the last arrival, ``silence``: the longest time between two arrivals from ``since``
+on; ``exit``.
 An answer has ``ok``; when false, ``error``.
 Services: ``serve`` service, type, reply (fields of the response), error (a text: it fails with that), held (it answers
 only after ``release`` id) -> id; ``requests`` id, count, seconds -> requests (all so far, after ``count`` have come or
