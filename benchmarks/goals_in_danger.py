@@ -9,6 +9,7 @@ goals ended, and the seconds from the kill to the end; the rows hold how often.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import statistics
@@ -168,6 +169,16 @@ class Goal:
         """Have the server end it."""
         self.server.ask("release", id=self.acting)
 
+    def ask_again(self) -> None:
+        """Have the client ask for the result until it is told: a request to a server that is being found is lost."""
+
+        def told() -> bool:
+            self.client.ask("ask_result", id=self.id)
+            return bool(self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=1.0)["ends"])
+
+        with contextlib.suppress(AssertionError):  # `end` tells that there was none
+            until(told, "a result", SECONDS)
+
     def end(self) -> End:
         """Wait for the end that the client is told, and for a second one that must not come."""
         found = self.client.ask("goal", id=self.id, until={"ends": 1}, seconds=SECONDS)
@@ -208,11 +219,12 @@ def client_killed(scene: Scene, server: str, client: str) -> End:
 
 
 def worker_killed(worker: str, scene: Scene, server: str, client: str) -> End:
-    """A worker dies. A client on ROS 2 whose own worker died waits for the result: the next one brings it."""
+    """A worker dies. A client on ROS 2 whose own worker died asks again, as it has to where a server was restarted."""
     goal = scene.goal(server, client)
     scene.kill_worker(worker)
     if (worker, client) == ("ros2", ROS2):
         goal.release()
+        goal.ask_again()
     return goal.end()
 
 

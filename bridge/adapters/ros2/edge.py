@@ -39,7 +39,6 @@ from bridge.adapters.ros2.service_later import Later
 from bridge.adapters.ros2.service_parts import Parts
 from bridge.adapters.ros2.service_server import Ros2Server
 from bridge.adapters.ros2.service_types import ServiceTypes
-from bridge.adapters.ros2.service_unanswered import Unanswered
 from bridge.adapters.ros2.subscription import Ros2Subscription
 from bridge.adapters.ros2.types import TypeSupports
 from bridge.adapters.ros2.waitset import WaitSetLoop
@@ -103,8 +102,7 @@ class Ros2Edge(Edge):
         self._loop = TakeLoop() if rcl.has_eventfd() else WaitSetLoop(self._participant)
         self._loop.start()
         graph = self._graph = Graph(self._participant, self._prefix, self._changed)
-        unanswered = Unanswered(self._state / "ros2" / "unanswered")
-        self._parts = Parts(self._participant, self._loop, graph, Lives(self._prefix), Later(), unanswered)
+        self._parts = Parts(self._participant, self._loop, graph, Lives(self._prefix), Later())
         self._origins = Origins(
             self._prefix, self._state / "ros2", lambda: graph.snapshot.participants, listener.graph_changed
         )
@@ -208,7 +206,6 @@ class Ros2Edge(Edge):
         parts, self._parts = self._parts, None
         if parts is not None:
             parts.later.stop()
-            parts.unanswered.close()
         loop.stop()
         participant.close()
 

@@ -9,7 +9,6 @@ from bridge.adapters.ros2.lives import Lives
 from bridge.adapters.ros2.loop import Loop
 from bridge.adapters.ros2.participant import Participant
 from bridge.adapters.ros2.service_later import Later
-from bridge.adapters.ros2.service_unanswered import Unanswered
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,4 +20,3 @@ class Parts:
     graph: Graph
     lives: Lives
     later: Later
-    unanswered: Unanswered

@@ -79,9 +79,6 @@ class Ros2Server(Reader, EdgeServer):
         self._pointer = int(self._handle.pointer)
         self._alive = threading.Lock()
         self._destroyed = False
-        self._unanswered = parts.unanswered
-        for request, payload in self._unanswered.left(name):
-            self._later.after(0.0, partial(self._begin, request, payload, 0))
         self._loop.add(self)
 
     @property
@@ -113,7 +110,6 @@ class Ros2Server(Reader, EdgeServer):
             if self._closed:
                 return
             self._asked[request] = asked
-            self._unanswered.asked(self.name, request, payload)
             self._client(request.gid).asked(backlog)
             self._look_soon()
         try:
@@ -136,13 +132,11 @@ class Ros2Server(Reader, EdgeServer):
             why = str(result) if isinstance(result, CallError) else "the reply is no little-endian CDR"
             refusal = self._refuse(why)
             if refusal is None:
-                self._unanswered.answered(asked.id)
                 client.unanswered()
                 return
             result = refusal
         self._spoke = time.monotonic()
         client.send(asked.id, result)
-        self._unanswered.answered(asked.id)
 
     def _client(self, gid: bytes) -> Replies:
         found = self._clients.get(gid)
@@ -195,7 +189,6 @@ class Ros2Server(Reader, EdgeServer):
                 return
             asked.left, abandon = True, asked.abandon
             self._clients.pop(asked.id.gid, None)
-        self._unanswered.answered(asked.id)
         if abandon is not None:
             abandon()
 
