@@ -185,7 +185,7 @@ def _samples() -> Subject:
         qos = Qos(durability=Durability.TRANSIENT_LOCAL if data[:1] == b"1" else Durability.VOLATILE, depth=5)
         subscription = HubSubscription(
             Nothing(), Nothing(), "t", "k", "/t",
-            qos, 1000, heard.append, lambda _closed: None,  # type: ignore[arg-type]
+            qos, 1000, Nothing(), heard.append, lambda _closed: None,  # type: ignore[arg-type]
         )  # fmt: skip
         hear = subscription._on_latched if qos.latched else subscription._on_sample
         count = 0
