@@ -26,8 +26,9 @@ from benchmarks.rows import Row, add_json_option, report
 from benchmarks.transcode import compare
 from bridge.adapters.memory import keep_memory
 from bridge.messages.registry import Registry
-from bridge.messages.values import Reader, Writer
-from navigation.maps.grid import from_grid, to_grid
+from bridge.messages.values import Reader
+from navigation.maps.cdr import to_cdr
+from navigation.maps.grid import from_grid
 from yarp_compat.dev.mapcolours import picture_of_flags
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, occupancy_of
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -107,7 +108,7 @@ def payloads(grid: MapGrid2D) -> dict[str, Pair]:
     wire, packed, cdr = (
         plain.to_bytes(Profile.YARP4),
         zipped.to_bytes(Profile.YARP4),
-        Writer(schema).message(to_grid(grid)),
+        bytes(to_cdr(grid)),
     )
     assert MapGrid2D.from_bytes(wire, Profile.YARP4) == grid
     assert (from_grid(Reader(schema, cdr).message(), "office").occupancy == grid.occupancy).all()
@@ -126,7 +127,7 @@ def payloads(grid: MapGrid2D) -> dict[str, Pair]:
             lambda: MapGrid2D.from_bytes(packed, Profile.YARP4),
             lambda: [zlib.decompress(cells) for cells in deflated],
         ),
-        "to CDR": (lambda: Writer(schema).message(to_grid(grid)), copy),
+        "to CDR": (lambda: to_cdr(grid), copy),
         "from CDR": (lambda: from_grid(Reader(schema, cdr).message(), "office"), copy),
     }
 

@@ -11,7 +11,8 @@ from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LOCATION, MAP, OBJECT,
 from bridge.stores.store import Store
 from navigation.map2d_server import filters, markers
 from navigation.map2d_server.messages import GRID, LATCHED, Head, Message
-from navigation.maps.grid import to_grid
+from navigation.maps.cdr import to_cdr
+from navigation.maps.grid import info_of, to_grid
 from navigation.maps.turned import turned
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -77,9 +78,9 @@ class CurrentMap:
                 self._node.publisher(MAP_TOPIC, GRID, LATCHED, priority="state"),
                 self._node.publisher(METADATA_TOPIC, "nav_msgs/msg/MapMetaData", LATCHED, priority="state"),
             )
-        message = self.message_of(self.grid)
-        self._ends[0].publish(message)
-        self._ends[1].publish(message["info"])
+        now = self._head.now_ns()
+        self._ends[0].publish_cdr(bytes(to_cdr(self.grid, self._head.frame, now)))
+        self._ends[1].publish(info_of(self.grid, now))
 
 
 class AllMaps:
@@ -110,7 +111,7 @@ class AllMaps:
         if end is None:
             topic = topic_of(name, set(self.topics.values()))
             end = self._ends[name] = self._node.publisher(topic, GRID, LATCHED, priority="state")
-        end.publish(to_grid(turned(found), self._head.frame, self._head.now_ns()))
+        end.publish_cdr(bytes(to_cdr(turned(found), self._head.frame, self._head.now_ns())))
 
 
 class Masks:

@@ -32,12 +32,13 @@ def to_grid(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> Message:
 
 def message_of(data: NDArray[np.int8], info: MapGrid2DInfo, frame: str = "map", stamp_ns: int = 0) -> Message:
     """The OccupancyGrid of data in ROS's order (:func:`data_of`), which lies as a map does."""
+    made = info_of(info, stamp_ns)
+    return {"header": {"stamp": made["map_load_time"], "frame_id": frame}, "info": made, "data": data}
+
+
+def info_of(info: MapGrid2DInfo, stamp_ns: int) -> Message:
+    """The `nav_msgs/MapMetaData` of a map at a time in nanoseconds."""
     stamp = {"sec": stamp_ns // 10**9, "nanosec": stamp_ns % 10**9}
-    return {"header": {"stamp": stamp, "frame_id": frame}, "info": info_of(info, stamp), "data": data}
-
-
-def info_of(info: MapGrid2DInfo, stamp: Message) -> Message:
-    """The `nav_msgs/MapMetaData` of a map."""
     x, y, yaw = info.origin.to_ros()
     return {
         "map_load_time": stamp,

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from yarp_compat.dev.mapinfo import MapGrid2DOrigin
 
 MODES = ("trinary", "scale", "raw")
 _LONGEST = 1 << 16
+_DEEPEST = 8
 _UNKNOWN_GREY = 205
 
 
@@ -231,14 +232,9 @@ def _mapping(path: Path) -> Mapping[str, Any]:
     if len(text) > _LONGEST:
         raise MapFileError(f"{path} is longer than {_LONGEST} characters, too long for a map's YAML file")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the compiled one is ten times as fast
-    depth = 0
     try:
-        for event in yaml.parse(text, loader):
-            if isinstance(event, yaml.AliasEvent):
-                raise MapFileError(f"{path}: a map's YAML file has no aliases (*{event.anchor})")
-            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if depth > 8:
-                raise MapFileError(f"{path}: a map's YAML file has no lists so deep within each other")
+        if _may_be_huge(text):
+            _check_events(yaml.parse(text, loader), path)
         said = yaml.load(text, loader)  # noqa: S506 - a safe one
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, MapFileError):
@@ -247,6 +243,23 @@ def _mapping(path: Path) -> Mapping[str, Any]:
     if not isinstance(said, dict):
         raise MapFileError(f"{path} is no YAML file of a map: it has no keys")
     return said
+
+
+def _may_be_huge(text: str) -> bool:
+    """Whether it has signs of what `_check_events` refuses: a look at each event takes as long as all the rest."""
+    return "*" in text or sum(map(text.count, ("[", "{", "- ", "? "))) > _DEEPEST
+
+
+def _check_events(events: Iterable[Any], path: Path) -> None:
+    import yaml
+
+    depth = 0
+    for event in events:
+        if isinstance(event, yaml.AliasEvent):
+            raise MapFileError(f"{path}: a map's YAML file has no aliases (*{event.anchor})")
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            raise MapFileError(f"{path}: a map's YAML file has no lists so deep within each other")
 
 
 def _origin(said: Any, path: Path) -> tuple[tuple[float, float, float], bool]:

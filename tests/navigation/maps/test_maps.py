@@ -11,6 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.messages.registry import Registry
+from bridge.messages.values import Schema, Writer
+from navigation.maps.cdr import to_cdr
 from navigation.maps.grid import data_of, from_grid, message_of, to_grid
 from navigation.maps.keepout import ENLARGED_OBSTACLE, KEEP_OUT, TEMPORARY_OBSTACLE, flags_from, keepout_mask
 from navigation.maps.polygon import cells_of
@@ -36,6 +39,20 @@ def test_yarp_to_ros_to_mask_and_back_is_the_same_cell_by_cell(grid: MapGrid2D) 
         grid.save(Path(folder, "m.yaml"))
         stored = MapGrid2D.load(Path(folder, "m.yaml"))
     assert (flags_from(from_grid(to_grid(stored), "m").occupancy, mask) == grid.flags).all()
+
+
+@pytest.fixture(scope="module")
+def schema() -> Schema:
+    return Registry().schema("nav_msgs/msg/OccupancyGrid")
+
+
+@given(grid=maps(), frame=st.text(st.characters(codec="ascii", exclude_characters="\0"), max_size=9), data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_map_as_cdr_is_what_the_writer_makes_of_its_message(
+    schema: Schema, grid: MapGrid2D, frame: str, data: st.DataObject
+) -> None:
+    stamp = data.draw(st.integers(0, 2**31 * 10**9 - 1))
+    assert bytes(to_cdr(grid, frame, stamp)) == Writer(schema).message(to_grid(grid, frame, stamp))
 
 
 def from_rows(data: np.ndarray, grid: MapGrid2D) -> np.ndarray:
