@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import base64
+import signal
 import sys
+import threading
 import time
 import uuid
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from bridge.cli.calling import Caller, spelled, type_and_values
 from bridge.cli.decode import Types
@@ -40,8 +42,8 @@ def send(args: argparse.Namespace) -> int:
     """Send a goal and follow it; the exit code."""
     type_name, values = type_and_values(args.goal)
     goal = yaml_fields(values)
-    with open_client(args) as client:
-        sent = _Goal(client, absolute(args.name), spelled(type_name, "action"))
+    with open_client(args) as client, Interrupt() as interrupt:
+        sent = _Goal(client, absolute(args.name), spelled(type_name, "action"), interrupt)
         try:
             sent.begin(goal)
             end = sent.follow(args)
@@ -52,13 +54,44 @@ def send(args: argparse.Namespace) -> int:
         return _tell_end(end, args)
 
 
+class Interrupt:
+    """Keeps the first Ctrl-C until `check` raises it: raised where it comes, foreign code might swallow it.
+
+    The second one is raised at once.
+    """
+
+    def __init__(self) -> None:
+        self._came = self._told = False
+        self._before: Any = None
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _take(self, _number: int, _frame: object) -> None:
+        if self._came:
+            raise KeyboardInterrupt
+        self._came = True
+
+    def check(self) -> None:
+        """Raise `KeyboardInterrupt`, once, where it has come."""
+        if self._came and not self._told:
+            self._told = True
+            raise KeyboardInterrupt
+
+
 class _Goal:
     """The goal that is sent."""
 
-    def __init__(self, client: Client, name: str, type_name: str) -> None:
+    def __init__(self, client: Client, name: str, type_name: str, interrupt: Interrupt) -> None:
         types = Types(client)
         part = f"{name}/_action/"
-        self.name, self._types = name, types
+        self.name, self._types, self._interrupt = name, types, interrupt
         self._send = Caller(client, types, f"{part}send_goal", f"{type_name}_SendGoal" if type_name else "")
         self.type_name = self._send.type_name.removesuffix("_SendGoal")
         self._result = Caller(client, types, f"{part}get_result")
@@ -75,7 +108,7 @@ class _Goal:
 
     def begin(self, goal: dict[str, Any]) -> None:
         """Send it and wait for its acceptance; raises `CliError` where it is rejected."""
-        reply = self._send.ask({"goal_id": self._uuid, "goal": goal})
+        reply = self._send.ask({"goal_id": self._uuid, "goal": goal}, check=self._interrupt.check)
         if not reply["accepted"]:
             raise CliError(f"{self.name} rejected the goal")
         self._ask_result()
@@ -84,6 +117,7 @@ class _Goal:
         """Show feedback until the goal ends; raises `TimeoutError` where that takes longer than it may."""
         end = time.monotonic() + (_LONGEST * 24 * 365 if args.timeout is None else args.timeout)
         while True:
+            self._interrupt.check()
             try:
                 news = self._news.get(timeout=min(0.2, max(end - time.monotonic(), 0.0)) or 0.001)
             except Empty:
@@ -103,7 +137,7 @@ class _Goal:
     def _ask_result(self) -> None:
         if not self._asked:
             self._result.call({"goal_id": self._uuid}, lambda result: self._news.put(_End(result)))
-            self._asked = True  # not before: Ctrl-C may come in between, and asking twice does no harm
+            self._asked = True
 
     def _heard(self, sample: HubSample) -> None:
         data = sample.data()

@@ -70,12 +70,17 @@ class Caller:
             raise CliError(f"{self.type_name}: {err}") from None
         return self._client.call(request, lambda result: done(self._read(result)))
 
-    def ask(self, values: dict[str, Any], seconds: float | None = None) -> dict[str, Any]:
-        """Call and wait for the reply; raises `CliError` for an error or after so many seconds."""
+    def ask(
+        self, values: dict[str, Any], seconds: float | None = None, check: Callable[[], None] = lambda: None
+    ) -> dict[str, Any]:
+        """Call and wait for the reply; raises `CliError` for an error or after so many seconds.
+
+        ``check`` is called now and then meanwhile; what it raises ends the call.
+        """
         replies: SimpleQueue[dict[str, Any] | CallError] = SimpleQueue()
         abandon = self.call(values, replies.put)
         try:
-            reply: dict[str, Any] | CallError | None = _get(replies, seconds)
+            reply: dict[str, Any] | CallError | None = _get(replies, seconds, check)
         except BaseException:
             abandon()
             raise
@@ -95,12 +100,13 @@ class Caller:
             return CallError(f"the reply is none: {err}")
 
 
-def _get(queue: SimpleQueue[Any], seconds: float | None) -> Any:
+def _get(queue: SimpleQueue[Any], seconds: float | None, check: Callable[[], None]) -> Any:
     """The next reply; None after so many seconds. Interruptible on every system."""
     from queue import Empty
 
     waited = 0.0
     while seconds is None or waited < seconds:
+        check()
         step = 0.2 if seconds is None else min(0.2, seconds - waited)
         try:
             return queue.get(timeout=step)
