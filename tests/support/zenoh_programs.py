@@ -329,6 +329,11 @@ class Ros1Bridge(Program):
             f"ros1_discovery_info/*/*/*/*/{namespace}/*/**", zenoh.handlers.Callback(self._on_beacon, indirect=False)
         )
 
+    def deafen(self) -> None:
+        """Hear no more beacons but those of its own topics."""
+        self.watch.undeclare()
+        self.watch = self.session.declare_subscriber("nothing", zenoh.handlers.Callback(self._on_beacon))
+
     def _on_beacon(self, sample: zenoh.Sample) -> None:
         self._beacons[str(sample.key_expr)] = time.monotonic()
 

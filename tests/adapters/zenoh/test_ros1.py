@@ -170,7 +170,7 @@ def test_what_is_latched_is_put_again_for_the_first_subscriber_and_for_another_b
     second = place.ros1()
     # a beacon before its session knows of us is lost, and the plugin may then be silent for ever: neither the first
     # program, which hears all beacons and those of /state, nor its own session is who must know of it
-    first.watch.undeclare()
+    first.deafen()
     remote = zenoh.Locality.REMOTE
     probe = second.session.declare_publisher(second.discovery("sub", "/other", STRING), allowed_destination=remote)
     until(lambda: probe.matching_status.matching, "its beacons will be heard")
