@@ -46,7 +46,12 @@ class Deployment(Stage):
             self.start_bridge()
             self._hub = Hub.open(
                 HubSettings(
-                    domain=self.place.config.hub.domain, router=self._router, node="watch", daemon="watch", worker="w"
+                    domain=self.place.config.hub.domain,
+                    router=self._router,
+                    node="watch",
+                    daemon="watch",
+                    worker="w",
+                    shared_memory=False,  # it would hold that of every worker that is killed
                 )
             )
             self.until(lambda: all(self.status().get(s, {}).get("state") == "running" for s in WORKERS), "both workers")

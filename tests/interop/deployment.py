@@ -82,9 +82,7 @@ class Deployment:
     def status(self) -> list[dict[str, Any]]:
         """What the workers tell of themselves."""
         if self._watch is None:
-            self._watch = Hub.open(
-                HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", daemon="w", worker="w")
-            )
+            self._watch = Hub.open(self.settings("watch", "w"))
             self._open.append(_Closer(self._watch))
         return [a.value for a in self._watch.ask("status", {}, timeout=1.0) if isinstance(a.value, dict)]
 
@@ -120,10 +118,7 @@ class Deployment:
 
     def zenoh(self) -> HubSide:
         """A native program of the hub, by our own session."""
-        settings = HubSettings(
-            router=f"tcp/127.0.0.1:{self.port}", node=self._name("zenoh"), daemon="far", worker="far"
-        )
-        hub = Hub.open(settings)
+        hub = Hub.open(self.settings(self._name("zenoh"), "far"))
         self._open.append(_Closer(hub))
         return HubSide(hub, self._registry)
 
@@ -139,8 +134,10 @@ class Deployment:
         self._open.append(thing)
         return thing
 
-    def settings(self, node: str) -> HubSettings:
-        return HubSettings(router=f"tcp/127.0.0.1:{self.port}", node=node, daemon="far", worker=node)
+    def settings(self, node: str, worker: str = "") -> HubSettings:
+        """Of a session in the test's process; that would hold the shared memory of every worker that a test kills."""
+        router = f"tcp/127.0.0.1:{self.port}"
+        return HubSettings(router=router, node=node, daemon="far", worker=worker or node, shared_memory=False)
 
     def _name(self, side: str) -> str:
         self._names += 1

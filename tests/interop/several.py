@@ -100,7 +100,7 @@ class Daemon:
     def status(self, side: str) -> dict[str, Any]:
         """One of its workers' status."""
         if self.watch is None:
-            settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", daemon="w", worker="w")
+            settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", shared_memory=False)
             self.watch = Hub.open(settings)
         answers = self.watch.ask("status", {}, daemon=self.name, timeout=1.0)
         return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
