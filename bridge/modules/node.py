@@ -70,6 +70,8 @@ class Subscription:
         self.end: HubSubscription | None = None
         self.sender = b""
         """The GID of the publisher whose message is being heard; on the module's thread."""
+        self.sent_ns = 0
+        """When that message was sent, nanoseconds of its publisher's clock."""
 
     def take(self, sample: HubSample) -> None:
         """Queue a sample, on zenoh's thread."""
@@ -101,7 +103,7 @@ class Subscription:
             _log.warning("%s: message refused: %s", self.topic, err)
             return
         self.counters.crossed(len(payload))
-        self.sender = sample.gid
+        self.sender, self.sent_ns = sample.gid, sample.source_time_ns
         self._heard(payload)
 
     def close(self) -> None:

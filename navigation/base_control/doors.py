@@ -10,7 +10,7 @@ from typing import Any
 from bridge.config.sections.base_control import BaseControlSection, BaseInput, JoySection
 from bridge.hub.qos import Qos
 from bridge.modules.host import Host
-from bridge.routing.age import Pulse
+from bridge.routing.age import AgeGate, Pulse
 from navigation.base_control.answers import Commands
 from navigation.base_control.base import Base
 from navigation.base_control.inputs import Input
@@ -21,6 +21,7 @@ from yarp_compat.wire.errors import WireError
 
 TWIST, STAMPED, JOY = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/Joy"
 NEWEST = Qos(depth=1)
+_MAX_SENDERS = 64
 
 
 class Doors:
@@ -58,15 +59,29 @@ class Doors:
             host.yarp.input(f"{name}/data:i", self._velocity(target))
 
     def _hear(self, host: Host, one: BaseInput, target: Input, joy: JoySection) -> None:
-        def twist(message: Mapping[str, Any]) -> None:
-            linear, angular = message["linear"], message["angular"]
-            self.take(target, Velocity(linear["x"], linear["y"], angular["z"]))
-
         for topic in one.twist:
-            host.node.subscription(topic, TWIST, twist, NEWEST)
-            host.node.subscription(topic, STAMPED, lambda message: twist(message["twist"]), NEWEST)
+            self._subscribe(host, topic, TWIST, target, of_twist)
+            self._subscribe(host, topic, STAMPED, target, lambda message: of_twist(message["twist"]))
         for topic in one.joy:
-            host.node.subscription(topic, JOY, lambda message: self._stick(target, message, joy), NEWEST)
+            self._subscribe(host, topic, JOY, target, lambda message: of_joy(message, joy, self._base.full))
+
+    def _subscribe(
+        self, host: Host, topic: str, kind: str, target: Input, read: Callable[[Mapping[str, Any]], Velocity | None]
+    ) -> None:
+        """Hear a topic; what waited on its way for longer than the input's time-out is dropped."""
+        ages: dict[bytes, AgeGate] = {}
+
+        def hear(message: Mapping[str, Any]) -> None:
+            if len(ages) >= _MAX_SENDERS and subscription.sender not in ages:
+                del ages[next(iter(ages))]
+            age = ages.setdefault(subscription.sender, AgeGate()).age(subscription.sent_ns)
+            velocity = read(message)
+            if age > target.timeout:
+                self._drop()
+            elif velocity is not None:
+                self.take(target, velocity)
+
+        subscription = host.node.subscription(topic, kind, hear, NEWEST)
 
     def _velocity(self, target: Input) -> Callable[[Received], None]:
         def take(received: Received) -> None:
@@ -86,16 +101,10 @@ class Doors:
 
         return take
 
-    def _stick(self, target: Input, message: Mapping[str, Any], joy: JoySection) -> None:
-        velocity = of_joy(message, joy, self._base.full)
-        if velocity is not None:
-            self.take(target, velocity)
-
     def take(self, target: Input, velocity: Velocity, timeout: float | None = None) -> bool:
         """Give a command to its input; whether it is obeyed. Called from any thread."""
         if self._pulse.stood_still(target.timeout):
-            with self._lock:
-                self.stale += 1
+            self._drop()
             return False
         try:
             target.command(velocity, self._now(), timeout)
@@ -107,10 +116,19 @@ class Doors:
         self.trouble.pop(target.name, None)
         return True
 
+    def _drop(self) -> None:
+        with self._lock:
+            self.stale += 1
+
     def last(self, target: Input) -> Velocity:
         """The last command of an input while it holds; still where none does."""
         found = target.last
         return found[0] if found is not None and self._now() <= found[2] else Velocity()
+
+
+def of_twist(message: Mapping[str, Any]) -> Velocity:
+    """The velocity of a `geometry_msgs/Twist`: m/s, rad/s."""
+    return Velocity(message["linear"]["x"], message["linear"]["y"], message["angular"]["z"])
 
 
 def of_joy(message: Mapping[str, Any], joy: JoySection, full: FullControl) -> Velocity | None:

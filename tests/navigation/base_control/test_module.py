@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 
 from bridge.hub.qos import Qos
+from bridge.hub.session import Hub, HubSettings
 from bridge.messages.json import from_json, to_json
 from tests.modules.place import Place
+from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.basecontrol import MobileBaseVelocityControl, Odometry2DClient
 from yarp_compat.dev.odometry import MobileBaseVelocity
@@ -36,6 +38,7 @@ class Wheels:
         self._out = self._hub.publisher("/joint_states", JOINTS, type_id, Qos())
         self._in = self._hub.subscription("/wheel_command", JOINTS, type_id, Qos(depth=1), self._take)
         self._told, self._told_at = [0.0, 0.0], 0.0
+        self.fastest = 0.0
         self.names: list[str] = ["mobile_base_l_wheel_joint", "mobile_base_r_wheel_joint"]
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -45,6 +48,7 @@ class Wheels:
         message = to_json(self._registry, JOINTS, sample.data())
         assert message["name"] == self.names
         self._told, self._told_at = message["velocity"], time.monotonic()
+        self.fastest = max(self.fastest, *map(abs, self._told))
 
     @property
     def velocity(self) -> tuple[float, float]:
@@ -200,5 +204,30 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
                 connections.disconnect(names, f"/baseControl/{port}", "/test/odometry:i")
 
 
+def base_stale(place: Place) -> int:
+    return int((place.status("base_control") or {}).get("stale", 0))
+
+
 def base_input(place: Place) -> str:
     return str((place.status("base_control") or {}).get("input"))
+
+
+def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(place: Place, wheels: Wheels) -> None:
+    started(place)
+    with FaultProxy(place.hubs.port) as link:
+        settings = HubSettings(router=f"tcp/127.0.0.1:{link.port}", zenoh={"mode": "client"}, shared_memory=False)
+        with Hub.open(settings) as operator:
+            registry = place.far.registry
+            kind = "geometry_msgs/msg/Twist"
+            stick = operator.publisher("/cmd_vel", kind, registry.ros2(kind).type_id, Qos(depth=1), priority="command")
+            payload = from_json(registry, kind, twist(0.2, 0.0))
+            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
+            link.freeze()
+            until(lambda: (stick.put(payload), drives(wheels, 0.0, 0.0)())[1], "it stands while the link is cut", 10)
+            stood = time.monotonic()
+            until(lambda: time.monotonic() - stood > 1.0, "what waits in the link is older than the time-out")
+            before, wheels.fastest = base_stale(place), 0.0
+            link.thaw()
+            until(lambda: base_stale(place) > before, "what waited is dropped", 30)
+            assert wheels.fastest == 0.0
+            until(lambda: (stick.put(payload), drives(wheels, 0.2, 0.0)())[1], "it goes on", 30)
