@@ -77,7 +77,8 @@ def test_goal_feedback_and_result(edge: RunningEdge, server: Peer, client: Peer)
     state = client.ask("goal", id=goal, until={"status": SUCCEEDED})
     assert (state["status"], state["result"]["error_msg"]) == (SUCCEEDED, "none")
     remaining = [f["distance_remaining"] for f in state["feedback"]]
-    assert remaining == [3.0, 2.0, 1.0][-len(remaining) :]
+    # the first may come before the client's reader is matched, and the result, by another way, before the last
+    assert remaining in ([3.0, 2.0, 1.0], [3.0, 2.0], [2.0, 1.0], [3.0], [2.0], [1.0])
 
 
 def test_rejected_goal(edge: RunningEdge, server: Peer, client: Peer) -> None:
