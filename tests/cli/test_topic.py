@@ -57,7 +57,8 @@ def test_list_has_what_crosses_and_what_stays(midspan: Midspan, worker: EngineWo
     for topic in ("/chatter", "/secret", "/rosout"):
         worker.advertise(topic, STRING)
     bridged(worker, 1)
-    assert midspan("topic", "list").out.split() == ["/chatter", "/rosout", "/secret"]
+    names = ["/chatter", "/rosout", "/secret"]
+    until(lambda: midspan("topic", "list").out.split() == names, "it has decided of all")
     entries = {entry["topic"]: entry for entry in midspan("topic", "list", "--json").json()}
     assert {name: entry["state"] for name, entry in entries.items()} == {
         "/chatter": "hub",
