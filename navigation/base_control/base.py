@@ -10,7 +10,7 @@ from navigation.base_control.kinematics import Array
 from navigation.base_control.limits import Limiter, smoothed
 from navigation.base_control.odometry import Odometry, Travelled
 from navigation.base_control.settings import Settings
-from navigation.base_control.velocity import STILL, Velocity
+from navigation.base_control.velocity import STILL
 
 MAX_STEP = 0.1
 """Seconds that one step may count for: after a standstill the base does not catch up on accelerations."""
@@ -78,10 +78,6 @@ class Base:
         self._arbiter.forget()
         self.odometry.restart()
         self._last = self._measured = None
-
-    def last_command(self) -> Velocity:
-        """What is commanded now."""
-        return self.choice.velocity
 
     def input_of(self, one: BaseInput) -> Input:
         """The input of a section."""

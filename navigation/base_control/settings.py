@@ -134,8 +134,7 @@ def with_file(section: BaseControlSection, ini: Ini) -> tuple[BaseControlSection
     found["wheel_distance"] = geometry.number("geom_L", None, 0.05, 3.0, "m")
     motors = ini.group(_MOTORS)
     found["max_motor_vel"] = motors.number("max_motor_vel", section.max_motor_vel, 1.0, 3600.0, "deg/s")
-    # upstream knows 10 as well, and takes any other for none
-    found["motors_filter"] = motors.choice("motors_filter_enabled", 0, (*FILTERS, 10)) % 10
+    found["motors_filter"] = motors.choice("motors_filter_enabled", 0, (*FILTERS, 10))
     stick = ini.group(_STICK)
     for key, name, most in (("linear_vel", "linear", 3.0), ("angular_vel", "angular", 360.0)):
         default = float(getattr(section, f"joystick_{name}_vel"))

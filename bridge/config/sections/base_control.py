@@ -94,7 +94,7 @@ class BaseControlSection(ModuleSection):
         " whole; empty: each goes to its own maximum.",
     )
     input_filter: Literal[0, 1, 2, 4, 8] = Field(default=0, description="Corner frequency in Hz of a filter; 0: none.")
-    motors_filter: Literal[0, 1, 2, 4, 8] = Field(
+    motors_filter: Literal[0, 1, 2, 4, 8, 10] = Field(
         default=0, description="The same for the wheels' velocities as they are told by `velocity:o`; 0: none."
     )
     joystick_linear_vel: float = Field(

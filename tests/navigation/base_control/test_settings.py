@@ -46,7 +46,7 @@ max_timeout   0.5
 [MOTORS]
 max_motor_pwm         10000
 max_motor_vel         100
-motors_filter_enabled 4
+motors_filter_enabled 10
 [JOYSTICK]
 linear_vel_at_full_control    0.25
 angular_vel_at_full_control   40
@@ -92,7 +92,7 @@ def test_a_file_of_r1(tmp_path: Path) -> None:
     found = read(tmp_path, R1)
     assert found.kinematics.matrix[0] == pytest.approx([1 / 0.16, 0.0, -0.17 / 0.16])
     assert found.limits == Limits(ratio=None)
-    assert found.motors_filter == 4
+    assert found.motors_filter == 10
     assert found.full == (0.25, 40.0)
     told = [(one.name, one.timeout, one.ports, one.twist) for one in found.inputs]
     assert told == [
