@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         while time.monotonic() < end:
             never.wait(_PERIOD)
             zeros.put()
-        asking.join(args.seconds)
+        asking.join()  # it has a time limit of its own
         topics = {topic: zeros.listeners(topic) for topic in zeros.topics}
         zeros.close()
     goals = {cancel.name: cancel.found for cancel in cancels}

@@ -23,6 +23,7 @@ from bridge.worker import Health
 from navigation.base_control.answers import Reset
 from navigation.base_control.base import Base
 from navigation.base_control.doors import Doors
+from navigation.base_control.kinematics import Array
 from navigation.base_control.rpc import Words
 from navigation.base_control.settings import settings
 from navigation.base_control.told import Told
@@ -82,14 +83,11 @@ class BaseControl(Module):
         return {"halted": True}
 
     def _step(self) -> None:
-        wheels = self.base.step(self.now())
-        self._wheels.publish(
-            {
-                "header": {"stamp": self._host.clock.stamp(), "frame_id": ""},
-                "name": list(self._joints),
-                "velocity": wheels,
-            }
-        )
+        self._turn(self.base.step(self.now()))
+
+    def _turn(self, velocities: Array) -> None:
+        header = {"stamp": self._host.clock.stamp(), "frame_id": ""}
+        self._wheels.publish({"header": header, "name": list(self._joints), "velocity": velocities})
 
     def _encoders(self, message: dict[str, Any]) -> None:
         places = {name: place for place, name in enumerate(message["name"])}
@@ -147,10 +145,4 @@ class BaseControl(Module):
 
     def stop(self) -> None:
         """Tell the wheels to stand still."""
-        self._wheels.publish(
-            {
-                "header": {"stamp": self._host.clock.stamp(), "frame_id": ""},
-                "name": list(self._joints),
-                "velocity": np.zeros(len(self._joints)),
-            }
-        )
+        self._turn(np.zeros(len(self._joints)))
