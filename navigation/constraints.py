@@ -1,0 +1,104 @@
+"""How a goal is to be driven to: what a planner asks of a local navigator with each waypoint.
+
+On the hub they go in the ``behavior_tree`` text of a ``nav2_msgs/action/NavigateToPose`` goal, which only Nav2 itself
+reads otherwise: ``midspan: max_lin_speed=0.2 on_obstacle=wait through=true``. Servers that are not ours get it empty.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+PREFIX = "midspan:"
+ON_OBSTACLE = ("", "wait", "around")
+_WORDS = {"true": True, "false": False}
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What holds for one goal. None, or the empty text: as the navigator's own parameters say.
+
+    Attributes:
+        max_lin_speed: m/s.
+        min_lin_speed: m/s.
+        max_ang_speed: deg/s.
+        min_ang_speed: deg/s.
+        lin_speed_gain: (m/s) / m.
+        ang_speed_gain: (deg/s) / deg.
+        tolerance_lin: m.
+        tolerance_ang: degrees.
+        on_obstacle: ``wait`` until it is gone, or go ``around`` it.
+        heading: whether the goal's heading matters; with False any will do.
+        through: whether it is a waypoint, passed without a stop.
+
+    Raises:
+        ValueError: a value cannot be.
+    """
+
+    max_lin_speed: float | None = None
+    min_lin_speed: float | None = None
+    max_ang_speed: float | None = None
+    min_ang_speed: float | None = None
+    lin_speed_gain: float | None = None
+    ang_speed_gain: float | None = None
+    tolerance_lin: float | None = None
+    tolerance_ang: float | None = None
+    on_obstacle: str = ""
+    heading: bool = True
+    through: bool = False
+
+    def __post_init__(self) -> None:
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} is a number of at least 0, not {value}")
+        if self.on_obstacle not in ON_OBSTACLE:
+            raise ValueError(f"on_obstacle is 'wait' or 'around', not '{self.on_obstacle}'")
+
+    def to_text(self) -> str:
+        """The text of what is not left to the navigator; empty where all is."""
+        said = [f"{one.name}={_word(getattr(self, one.name))}" for one in fields(self) if self._says(one.name)]
+        return " ".join((PREFIX, *said)) if said else ""
+
+    def _says(self, name: str) -> bool:
+        return bool(getattr(self, name) != getattr(_NOTHING, name))
+
+    @classmethod
+    def from_text(cls, text: str) -> Constraints:
+        """What a goal's text says; a text that is not ours (the name of a behaviour tree) says nothing.
+
+        Raises:
+            ValueError: it is ours, and something in it cannot be.
+        """
+        if not text.startswith(PREFIX):
+            return cls()
+        given: dict[str, Any] = {}
+        for part in text[len(PREFIX) :].split():
+            name, _, word = part.partition("=")
+            if name not in _NAMES:
+                raise ValueError(f"'{name}' is no constraint; there are {', '.join(_NAMES)}")
+            given[name] = _value(name, word)
+        return cls(**given)
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _value(name: str, word: str) -> Any:
+    if name == "on_obstacle":
+        return word
+    if name not in _NUMBERS:
+        if word not in _WORDS:
+            raise ValueError(f"{name} is true or false, not '{word}'")
+        return _WORDS[word]
+    try:
+        return float(word)
+    except ValueError:
+        raise ValueError(f"{name} is a number, not '{word}'") from None
+
+
+_NAMES = tuple(one.name for one in fields(Constraints))
+_NUMBERS = _NAMES[:8]
+_NOTHING = Constraints()
