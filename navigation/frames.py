@@ -1,0 +1,126 @@
+"""Where the robot is, from the frames of all sides."""
+
+from __future__ import annotations
+
+import math
+
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.host import Host
+from bridge.tf.buffer import TransformBuffer
+from bridge.tf.errors import TransformError
+from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
+from bridge.tf.transform import LATEST, Transform
+from navigation.pose import Pose
+
+_DEPTH = 1000
+"""Messages of `/tf` that may wait: every publisher of a robot sends its own at the same time."""
+
+_STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
+
+
+class FramesError(RuntimeError):
+    """It is not known where something is; the text says why."""
+
+
+class Frames:
+    """Hears `/tf` and `/tf_static` for one module.
+
+    Args:
+        host: the module's.
+        map_frame: the fixed frame of maps.
+        base_frame: the robot's.
+        odom_frame: between the two, where odometry and localisation each say one part.
+        odometry_age: seconds after which odometry that is not said again is of no use.
+        localization_age: the same of map to odom; localisers say it less often.
+    """
+
+    def __init__(
+        self,
+        host: Host,
+        map_frame: str = "map",
+        base_frame: str = "base_link",
+        odom_frame: str = "odom",
+        *,
+        odometry_age: float = 0.5,
+        localization_age: float = 2.0,
+    ) -> None:
+        self.map_frame, self.base_frame, self.odom_frame = (
+            name.lstrip("/") for name in (map_frame, base_frame, odom_frame)
+        )
+        self._odometry_age, self._localization_age = odometry_age, localization_age
+        self._now_ns = host.clock.now_ns
+        self.buffer = TransformBuffer(now=self._now_ns)
+        host.node.subscription_cdr(TF, TF_TYPE, lambda cdr: self._hear(cdr, static=False), Qos(depth=_DEPTH))
+        host.node.subscription_cdr(TF_STATIC, TF_TYPE, lambda cdr: self._hear(cdr, static=True), _STATIC)
+        host.on_jump(self.buffer.clear)
+
+    def _hear(self, cdr: bytes, *, static: bool) -> None:
+        self.buffer.set_message(cdr, static=static)
+
+    def pose(self) -> Pose:
+        """Where the robot is on the map now: the newest of odometry in the newest of localisation.
+
+        Raises:
+            FramesError: nobody says so, or has not for too long; the text says who.
+        """
+        try:
+            odometry = self.odometry()
+        except FramesError:
+            if self._knows(self.odom_frame):
+                raise
+            # no odometry frame at all: somebody says at once where the robot is on the map
+            return self._fresh(self.map_frame, self.base_frame, self._localization_age, "localisation")
+        return self.correction() @ odometry
+
+    def odometry(self) -> Pose:
+        """Where the robot is in the odometry's frame.
+
+        Raises:
+            FramesError: as `pose`.
+        """
+        return self._fresh(self.odom_frame, self.base_frame, self._odometry_age, "odometry")
+
+    def correction(self) -> Pose:
+        """Where the odometry's frame is on the map.
+
+        Raises:
+            FramesError: as `pose`.
+        """
+        return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localisation")
+
+    def transform(self, target: str, source: str, stamp: int = LATEST, *, extrapolate: float = 0.0) -> Pose:
+        """The pose of the source frame in the target frame, flat on the floor.
+
+        Args:
+            target: frame that data are wanted in.
+            source: frame that they are in.
+            stamp: ns, or `LATEST`.
+            extrapolate: seconds before and behind what is known for which frames go on moving as they did.
+
+        Raises:
+            FramesError: there is none; the text says why.
+        """
+        return flat(self._look(target, source, stamp, extrapolate))
+
+    def _fresh(self, target: str, source: str, age: float, what: str) -> Pose:
+        found = flat(self._look(target, source, LATEST, 0.0))
+        late = (self._now_ns() - found.stamp_ns) / 1e9 if found.stamp_ns else 0.0
+        if late > age:
+            raise FramesError(f"the {what} is stale: {source} in {target} was last said {late:.1f} s ago")
+        return found
+
+    def _look(self, target: str, source: str, stamp: int, extrapolate: float) -> Transform:
+        try:
+            return self.buffer.lookup_transform(target, source, stamp, extrapolate=extrapolate)
+        except TransformError as err:
+            raise FramesError(f"it is not known where {source} is in {target}: {str(err).strip()}") from None
+
+    def _knows(self, frame: str) -> bool:
+        return any(frame in (info.name, info.parent) for info in self.buffer.frames())
+
+
+def flat(transform: Transform) -> Pose:
+    """A transform's pose on the floor."""
+    x, y, z, w = transform.rotation
+    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return Pose(transform.translation[0], transform.translation[1], yaw, transform.stamp)

@@ -1,0 +1,40 @@
+"""Poses in the plane."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class Pose(NamedTuple):
+    """Where something is in a frame: metres, radians; and when, ns (0 where it holds for all times)."""
+
+    x: float
+    y: float
+    theta: float
+    stamp_ns: int = 0
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """A pose that is given in this one's frame, in the frame that this one is given in; with its stamp."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(
+            self.x + c * other.x - s * other.y,
+            self.y + s * other.x + c * other.y,
+            wrapped(self.theta + other.theta),
+            other.stamp_ns,
+        )
+
+    @property
+    def inverse(self) -> Pose:
+        """The pose of the frame that this one is given in, as seen from this one; with its stamp."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, wrapped(-self.theta), self.stamp_ns)
+
+    def distance(self, other: Pose) -> float:
+        """Metres to another."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
+
+def wrapped(angle: float) -> float:
+    """The same direction within -pi to pi."""
+    return math.remainder(angle, math.tau)

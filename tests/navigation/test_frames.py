@@ -1,0 +1,86 @@
+"""Where the robot is, by frames that are told by several."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from bridge.tf.stamped import TF, Stamped, write
+from navigation.frames import Frames, FramesError
+from navigation.pose import Pose
+
+S = 1_000_000_000
+START = 1_790_000_000 * S
+
+
+class Said:
+    """A host whose clock stands where it is set, and all that is said of frames."""
+
+    def __init__(self, **options: Any) -> None:
+        self.now = START
+        self._heard: dict[str, Callable[[bytes], None]] = {}
+        node = SimpleNamespace(subscription_cdr=lambda topic, _type, heard, _qos: self._heard.update({topic: heard}))
+        clock = SimpleNamespace(now_ns=lambda: self.now)
+        host: Any = SimpleNamespace(node=node, clock=clock, on_jump=lambda _: None)
+        self.frames = Frames(host, **options)
+
+    def say(self, parent: str, child: str, pose: Pose, ago: float = 0.0, topic: str = TF) -> None:
+        turned = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
+        one = Stamped(parent, child, self.now - round(ago * S), (pose.x, pose.y, 0.0), turned)
+        self._heard[topic](write([one]))
+
+
+def test_the_pose_is_the_newest_odometry_in_the_newest_correction() -> None:
+    said = Said()
+    said.say("map", "odom", Pose(1.0, 2.0, math.pi / 2), ago=1.5)
+    said.say("odom", "base_link", Pose(9.0, 9.0, 0.0), ago=1.5)
+    said.say("odom", "base_link", Pose(3.0, 0.5, 0.25), ago=0.1)
+    found = said.frames.pose()
+    assert found[:3] == pytest.approx((0.5, 5.0, math.pi / 2 + 0.25))
+    assert found.stamp_ns == START - S // 10
+
+
+def test_a_correction_that_is_stamped_ahead_holds() -> None:
+    said = Said()
+    said.say("map", "odom", Pose(1.0, 0.0, 0.0), ago=-0.3)
+    said.say("odom", "base_link", Pose(1.0, 0.0, 0.0))
+    assert said.frames.pose()[:3] == pytest.approx((2.0, 0.0, 0.0))
+
+
+def test_who_has_fallen_silent_is_told() -> None:
+    said = Said()
+    with pytest.raises(FramesError, match="not known where base_link is"):
+        said.frames.pose()
+    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
+    with pytest.raises(FramesError, match="not known where odom is in map"):
+        said.frames.pose()
+    said.say("map", "odom", Pose(0.0, 0.0, 0.0))
+    said.now += S
+    with pytest.raises(FramesError, match=r"odometry is stale: base_link in odom was last said 1\.0 s ago"):
+        said.frames.pose()
+    said.now += 2 * S
+    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
+    with pytest.raises(FramesError, match=r"localisation is stale: odom in map was last said 3\.0 s ago"):
+        said.frames.pose()
+
+
+def test_without_an_odometry_frame_the_pose_is_said_at_once() -> None:
+    said = Said(base_frame="/body")
+    said.say("map", "body", Pose(1.0, 2.0, 0.5))
+    assert said.frames.pose()[:3] == pytest.approx((1.0, 2.0, 0.5))
+    said.now += 3 * S
+    with pytest.raises(FramesError, match="localisation is stale"):
+        said.frames.pose()
+
+
+def test_frames_in_frames() -> None:
+    said = Said()
+    said.say("base_link", "laser", Pose(0.1, 0.0, math.pi), topic="/tf_static")
+    assert said.frames.transform("base_link", "laser")[:3] == pytest.approx((0.1, 0.0, math.pi))
+    there = Pose(1.0, 2.0, 3.0)
+    assert (there @ there.inverse)[:3] == pytest.approx((0.0, 0.0, 0.0))
+    assert (there.inverse @ there)[:3] == pytest.approx((0.0, 0.0, 0.0))
