@@ -31,6 +31,7 @@ class Constraints:
         on_obstacle: ``wait`` until it is gone, or go ``around`` it.
         heading: whether the goal's heading matters; with False any will do.
         through: whether it is a waypoint, passed without a stop.
+        map: the goal's map, where it is not the one that the planner is on.
 
     Raises:
         ValueError: a value cannot be.
@@ -47,6 +48,7 @@ class Constraints:
     on_obstacle: str = ""
     heading: bool = True
     through: bool = False
+    map: str = ""
 
     def __post_init__(self) -> None:
         for name in _NUMBERS:
@@ -55,6 +57,8 @@ class Constraints:
                 raise ValueError(f"{name} is a number of at least 0, not {value}")
         if self.on_obstacle not in ON_OBSTACLE:
             raise ValueError(f"on_obstacle is 'wait' or 'around', not '{self.on_obstacle}'")
+        if len(self.map.split()) > 1:
+            raise ValueError(f"a map's name has no spaces: '{self.map}'")
 
     def to_text(self) -> str:
         """The text of what is not left to the navigator; empty where all is."""
@@ -87,7 +91,7 @@ def _word(value: Any) -> str:
 
 
 def _value(name: str, word: str) -> Any:
-    if name == "on_obstacle":
+    if name in ("on_obstacle", "map"):
         return word
     if name not in _NUMBERS:
         if word not in _WORDS:

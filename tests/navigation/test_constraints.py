@@ -15,7 +15,7 @@ def test_they_come_back_from_their_text():
         "midspan: max_lin_speed=0.2 tolerance_lin=0.1 tolerance_ang=5.0 on_obstacle=wait heading=false through=true"
     )
     assert Constraints.from_text(given.to_text()) == given
-    every = Constraints(1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", heading=False, through=True)
+    every = Constraints(1.0, 0.1, 2.0, 0.2, 3.0, 0.3, 4.0, 0.4, "around", heading=False, through=True, map="house")
     assert Constraints.from_text(every.to_text()) == every
 
 
@@ -39,6 +39,11 @@ def test_nothing_said_is_no_text_and_other_texts_say_nothing():
 def test_what_cannot_be_is_refused_with_the_reason(text, why):
     with pytest.raises(ValueError, match=why):
         Constraints.from_text(text)
+
+
+def test_a_map_is_one_word():
+    with pytest.raises(ValueError, match="no spaces"):
+        Constraints(map="my house")
 
 
 def test_numbers_are_checked_where_they_are_made():
