@@ -72,7 +72,7 @@ class Crossing:
         )
         edge.clock = RunClock(simulated=config.clock.simulated)
         follow(edge.clock, self._hub)
-        self._engine: Engine | None = Engine(edge, self._hub, config.routing, config.name, failed, registry)
+        self._engine: Engine | None = Engine(edge, self._hub, config.rules, config.name, failed, registry)
         self._engine.start()
         self._share_parameters(config.routing)
         verbs = {"status": self._status, "explain": self._explain, "tap": self._tap, "time": self._time}

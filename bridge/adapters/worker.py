@@ -72,9 +72,9 @@ class BridgeWorker(Worker):
             return False
         self._config = config
         logging.getLogger().setLevel(config.log.level.upper())
-        if config.routing != old.routing:
+        if config.rules != old.rules:
             for crossing in self._crossings:
-                crossing.reload(config.routing)
+                crossing.reload(config.rules)
         return True
 
     def health(self) -> Health:

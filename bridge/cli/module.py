@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.daemon.state import with_state
 
     config = with_state(load(args.config))
-    sections = config.modules.sections
+    sections = config.hosted
     if args.name not in sections:
         known = ", ".join(sections) or "none"
         msg = f"modules.{args.name} is not switched on in the configuration; those that are: {known}"

@@ -9,9 +9,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from bridge.config.mix import with_navigation
 from bridge.config.sections.clock import ClockSection
 from bridge.config.sections.hub import HubSection
 from bridge.config.sections.modules import ModulesSection
+from bridge.config.sections.navigation import NavigationSection
 from bridge.config.sections.ros1 import Ros1Section
 from bridge.config.sections.ros2 import Ros2Section
 from bridge.config.sections.routing import RoutingSection
@@ -82,5 +84,29 @@ class Config(Section):
     clock: ClockSection = Field(default_factory=ClockSection, description="The time scale of this run.")
     types: TypesSection = Field(default_factory=TypesSection, description="Message types beyond those installed.")
     routing: RoutingSection = Field(default_factory=RoutingSection, description="Which topics cross, and how.")
+    navigation: NavigationSection = Field(
+        default_factory=NavigationSection,
+        description="Any planner with any client: which one drives, and at which names each side asks; see"
+        " docs/navigation.md.",
+    )
     limits: LimitsSection = Field(default_factory=LimitsSection, description="What is refused for its size.")
     log: LogSection = Field(default_factory=LogSection, description="Logging.")
+
+    @property
+    def rules(self) -> RoutingSection:
+        """What crosses, and how: ``routing``, after what follows from ``navigation``."""
+        return with_navigation(self.routing, self.navigation)
+
+    @property
+    def hosted(self) -> dict[str, Section]:
+        """The sections of all modules that run, by name; what they leave to ``navigation`` is as it says there."""
+        found = self.modules.sections
+        if self.navigation.planner:
+            found["gateway"] = self.navigation
+        return {name: _filled(section, {"map": self.navigation.map}) for name, section in found.items()}
+
+
+def _filled(section: Section, defaults: dict[str, str]) -> Section:
+    """The section with these values where it has None."""
+    left = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
+    return section.model_copy(update=left) if left else section

@@ -58,7 +58,7 @@ class WorkerKind:
         if self.name == "yarp" and config.yarp.enabled == "auto" and self.missing(config):
             return False
         if self.name == "modules":
-            return config.modules.enabled if config.modules.sections or config.store.enabled is True else False
+            return config.modules.enabled if config.hosted or config.store.enabled is True else False
         return config.hub.router if self.name == "router" else getattr(config, self.name).enabled
 
     def missing(self, config: Config) -> str:
@@ -84,7 +84,7 @@ class WorkerKind:
         if self.name != "router":
             return {**part, "hub": config.hub.indoors}
         # the rules tell its door what commands are
-        return {**part, "routing": config.routing} if config.hub.open.opened else part
+        return {**part, "routing": config.rules} if config.hub.open.opened else part
 
 
 def _side(name: str) -> WorkerKind:
@@ -92,7 +92,7 @@ def _side(name: str) -> WorkerKind:
         name,
         "bridge.adapters.worker:BridgeWorker",
         (name,),
-        frozenset({name, "types", "routing"}),
+        frozenset({name, "types", "routing", "navigation"}),
         f"bridge.adapters.{name}.environment",
     )
 
@@ -106,7 +106,7 @@ WORKERS = (
     WorkerKind(
         "modules",
         "bridge.modules.worker:ModulesWorker",
-        sections=frozenset({"modules", "store", "types", "limits", "yarp"}),
+        sections=frozenset({"modules", "navigation", "store", "types", "limits", "yarp"}),
     ),
     WorkerKind(
         "sim",

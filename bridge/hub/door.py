@@ -142,7 +142,7 @@ def door_tree(config: Config) -> dict[str, Any]:
             "enable_mtls": True,
             "verify_name_on_connect": True,
         }
-    tree["access_control"] = access_control(door, config.routing, _loopback_interfaces())
+    tree["access_control"] = access_control(door, config.rules, _loopback_interfaces())
     return tree
 
 

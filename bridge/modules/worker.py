@@ -93,7 +93,7 @@ class ModulesWorker(Worker):
         return Health("waiting" if trouble else "running", trouble)
 
     def _sections(self, config: Config) -> dict[str, Section]:
-        sections = config.modules.sections
+        sections = config.hosted
         return {self._only: sections[self._only]} if self._only in sections else {} if self._only else sections
 
     def _start(self, name: str, section: Section, config: Config, registry: Registry, stores: StoreService) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
+from bridge.config.mix import MadeRule
 from bridge.config.sections.routing import QosOverride, RoutingSection, Rule
 from bridge.hub.qos import Durability, Qos, Reliability
 from bridge.routing.patterns import glob_regex, rename_glob
@@ -73,6 +74,7 @@ class RuleSet:
     def __init__(self, section: RoutingSection) -> None:
         self.section = section
         self._patterns = [_pattern(rule) for rule in section.rules]
+        self._names = list(_names(section.rules))
         self._nodes = frozenset(rule.node for rule in section.parameters)
         self._decided: dict[tuple[str, ...], Decision] = {}
 
@@ -135,14 +137,14 @@ class RuleSet:
         return Decision(allowed=True, why="allowed where it entered the hub", name=topic)
 
     def _matches(self, origin: str, topic: str, type_name: str, kind: Kind) -> Iterator[_Match]:
-        for number, (rule, pattern) in enumerate(zip(self.section.rules, self._patterns, strict=True), start=1):
+        for name, rule, pattern in zip(self._names, self.section.rules, self._patterns, strict=True):
             if rule.from_ not in (None, origin) or rule.kind not in (None, kind):
                 continue
             if rule.type is not None and not glob_regex(rule.type).fullmatch(type_name):
                 continue
             match = None if pattern is None else pattern.fullmatch(topic)
             if pattern is None or match is not None:
-                yield _Match(number, rule, match)
+                yield _Match(name, rule, match)
 
     def _onward(self, matches: list[_Match], topic: str) -> Decision | None:
         if any(not m.rule.deny for m in matches):
@@ -166,20 +168,28 @@ class RuleSet:
 
 
 class _Match(NamedTuple):
-    number: int
+    name: str
     rule: Rule
     match: re.Match[str] | None
 
 
 def _denied(matches: list[_Match], topic: str) -> Decision | None:
-    for number, rule, _ in matches:
+    for name, rule, _ in matches:
         if rule.deny:
-            return Decision(allowed=False, why=f"rule {number} denies it", name=topic)
+            return Decision(allowed=False, why=f"{name} denies it", name=topic)
     return None
 
 
 def _allowed(matches: list[_Match], topic: str) -> Decision | None:
     return _by_rule(*matches[0], topic) if matches else None
+
+
+def _names(rules: Iterable[Rule]) -> Iterator[str]:
+    """What people call each rule: its number in the file, or what it follows from."""
+    number = 0
+    for rule in rules:
+        number += not isinstance(rule, MadeRule)
+        yield f"the section {rule.of}" if isinstance(rule, MadeRule) else f"rule {number}"
 
 
 def _pattern(rule: Rule) -> re.Pattern[str] | None:
@@ -188,7 +198,7 @@ def _pattern(rule: Rule) -> re.Pattern[str] | None:
     return None if rule.topic is None else glob_regex(rule.topic)
 
 
-def _by_rule(number: int, rule: Rule, match: re.Match[str] | None, topic: str) -> Decision:
+def _by_rule(of: str, rule: Rule, match: re.Match[str] | None, topic: str) -> Decision:
     name = topic
     if rule.rename is not None:
         if rule.regex is not None and match is not None:
@@ -199,7 +209,7 @@ def _by_rule(number: int, rule: Rule, match: re.Match[str] | None, topic: str) -
             name = rule.rename
     return Decision(
         allowed=True,
-        why=f"rule {number} allows it",
+        why=f"{of} allows it",
         name=name,
         rate=rule.rate,
         priority=rule.priority or "",

@@ -13,6 +13,7 @@ from bridge.config import Config, generate, load, loads
 from bridge.config.hints import all_keys
 from bridge.config.sections.base_control import BaseInput
 from bridge.config.sections.modules import OwnModule
+from bridge.config.sections.navigation import Planner
 from bridge.config.sections.parameters import ParameterRule
 from bridge.config.sections.routing import QosOverride, Rule
 from bridge.config.sections.yarp import Service, Topic
@@ -41,12 +42,13 @@ def test_example_has_every_key_and_loads_to_the_defaults() -> None:
             ("modules", "own"),
             ("modules", "base_control", "inputs"),
             ("modules", "map2d_server", "take"),
+            ("navigation", "planners"),
         )
         if any(path[: len(inner)] == inner != path for inner in lists):
             continue
         for key in path:
             part = part[key]
-    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput):
+    for model in (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner):
         for name, info in model.model_fields.items():
             assert f"- {info.alias or name} (" in text
     assert max(len(line) for line in text.splitlines()) <= generate.WIDTH
@@ -58,7 +60,7 @@ def test_every_key_is_described() -> None:
             assert info.description, f"{model.__name__}.{name}"
 
     sections = (type(getattr(Config(), name)) for name in Config.model_fields)
-    rules = (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput)
+    rules = (Rule, ParameterRule, QosOverride, Dialect, DialectKey, Topic, Service, OwnModule, BaseInput, Planner)
     for model in (Config, *rules, *sections):
         if hasattr(model, "model_fields"):
             check(model)

@@ -1,0 +1,67 @@
+"""The rules that follow from the section ``navigation``: who is which planner, and which doors the gateway has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSection
+from bridge.config.sections.routing import RoutingSection, Rule
+
+TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+
+
+class MadeRule(Rule):
+    """A rule that stands in no file.
+
+    Attributes:
+        of: what it follows from, for people.
+    """
+
+    of: str
+
+
+def with_navigation(routing: RoutingSection, navigation: NavigationSection) -> RoutingSection:
+    """The rules of the file, after those that follow from ``navigation``; a ``deny`` of either wins."""
+    if not navigation.planner:
+        return routing
+    return routing.model_copy(update={"rules": (*made_rules(navigation), *routing.rules)})
+
+
+def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
+    """The rules of a section that names a planner."""
+    doors = section.doors
+    for planner in section.others.values():
+        of = f"navigation (planner {planner.name})"
+        if planner.side != "zenoh":
+            yield _rule(of, kind="action", topic=planner.action, from_=planner.side, rename=planner.on_hub)
+        if planner.velocity and planner.velocity != section.velocity:
+            yield _rule(
+                of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,
+                priority="command",
+            )  # fmt: skip
+    taken = {(planner.side, planner.action): planner.name for planner in section.others.values()}
+    for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
+        yield from _door(side, action, goal, taken.get((side, action), ""))
+    yield _rule("navigation", topic="/navigation/**")
+    yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
+
+
+def _door(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:
+    """The rules of one side's door; where a planner has its name, what is said there is the planner's alone."""
+    of = f"navigation ({owner} has {action} there itself)" if owner else f"navigation.doors.{side}"
+    if owner or not action:
+        yield _rule(of, kind="action", topic=ACTION, to=side, deny=True)
+    else:
+        yield _rule(of, kind="action", topic=ACTION, to=side, rename=action)
+    if not goal:
+        return
+    if owner:  # the planner hears it there; what others say there must not reach it either
+        yield _rule(of, kind="topic", topic=goal, type=POSE, from_=side, to="zenoh", deny=True)
+        yield _rule(of, kind="topic", topic=goal, type=POSE, to=side, deny=True)
+    else:
+        yield _rule(of, kind="topic", topic=goal, type=POSE, from_=side, rename=GOAL_POSE)
+
+
+def _rule(of: str, **values: Any) -> MadeRule:
+    return MadeRule.model_validate({"of": of, **values})
