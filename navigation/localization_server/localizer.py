@@ -1,0 +1,335 @@
+"""The localiser: where the robot is on a map, by its laser and its odometry.
+
+A particle filter on a likelihood field. What a filter alone cannot do, come back from a start that was wrong by metres,
+a search does: where the map explains too little of a scan, all poses around are tried, and particles are put where it
+would explain more. Nothing here knows of the hub or of a clock: all times are stamps that are given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms import particle_filter
+from navigation.algorithms.likelihood_field import LikelihoodField
+from navigation.algorithms.pose_search import PoseSearch, Window
+from navigation.localization_server.odometry import Track
+from navigation.localization_server.scan import thinned
+from navigation.localization_server.settings import Settings
+from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+Floats = NDArray[np.float64]
+
+_FEWEST = 8
+"""Beams that ended somewhere, below which a scan says nothing."""
+
+_AFRESH = 0.5
+"""Share of the particles that a search puts elsewhere."""
+
+_SCATTER = np.diag([0.1**2, 0.1**2, math.radians(3.0) ** 2])
+_MEMORY = 0.7
+"""Of the quality that was, from one scan to the next."""
+
+_STOOD = (0.01, math.radians(0.5))
+_NEVER = -(1 << 62)
+
+
+class Status(StrEnum):
+    """YARP's ``LocalizationStatusEnum``, by its names."""
+
+    NOT_YET = "not_yet_localized"
+    OK = "localized_ok"
+    ERROR = "error"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where the robot is.
+
+    Attributes:
+        pose: on the map; None before a start was given.
+        covariance: (3, 3) of x, y, theta: metres, radians.
+        quality: share of the scan that the map explains, 0 to 1.
+        status: whether to rely on it.
+        reason: why not.
+    """
+
+    pose: Pose | None
+    covariance: Floats
+    quality: float
+    status: Status
+    reason: str
+
+
+class Localizer:
+    """Follows a robot on one map.
+
+    Args:
+        grid: the map; its walls are what the laser is held against.
+        settings: how.
+        seed: of all chance: the same seed and the same data give the same poses.
+
+    Raises:
+        ValueError: the map has no walls, or no free cells.
+    """
+
+    def __init__(self, grid: MapGrid2D, settings: Settings | None = None, seed: int = 0) -> None:
+        self.settings = settings or Settings()
+        flags = grid.flags[::-1]
+        walls = flags == MapFlag.WALL
+        free = ~walls & (flags != MapFlag.UNKNOWN)
+        if not walls.any() or not free.any():
+            raise ValueError(f"nobody can be localised on the map {grid.name!r}: it has no walls, or nothing free")
+        self._corner = Pose(*grid.origin.to_ros())
+        self._field = LikelihoodField(walls, free, grid.resolution)
+        self._table = self._field.table(self.settings.sigma, self.settings.hit)
+        self._worst = float(self._table.min())
+        self._search = PoseSearch(self._field, self._table)
+        self._rng = np.random.default_rng(seed)
+        self._track = Track()
+        self._particles = np.empty((0, 3))
+        self._weights = np.empty(0)
+        self._updated: Pose | None = None
+        self._correction: Pose | None = None
+        self._covariance = np.zeros((3, 3))
+        self._forced = False
+        self._anew = False
+        self._quality = 0.0
+        self._seen: Pose | None = None
+        self._moved_away = False
+        self._scan_ns = self._searched_ns = _NEVER
+        self._fruitless = 0
+        self._status, self._reason = Status.NOT_YET, "no start was given"
+        self.searches = 0
+        self.updates = 0
+
+    def odometry(self, pose: Pose) -> None:
+        """Take up where odometry says that the base is, with its stamp."""
+        self._track.add(pose)
+
+    def forget_time(self) -> None:
+        """The clock was set back: what was said of odometry does not hold any more; the pose does."""
+        where = self.pose
+        self._track.clear()
+        self._scan_ns = self._searched_ns = _NEVER
+        if where is not None:
+            self.initial(where)
+
+    def initial(self, pose: Pose, covariance: Floats | None = None) -> None:
+        """Begin at a pose on the map.
+
+        Args:
+            pose: where the robot is said to be now.
+            covariance: (3, 3) of x, y, theta: metres, radians; None: the settings' spread.
+
+        Raises:
+            ValueError: something is not finite.
+        """
+        if covariance is None:
+            metres, radians = self.settings.initial_spread
+            covariance = np.diag([metres**2, metres**2, radians**2])
+        if not (np.isfinite(pose[:3]).all() and covariance.shape == (3, 3) and np.isfinite(covariance).all()):
+            raise ValueError(f"the robot cannot begin at {pose[:3]} with the covariance {covariance.tolist()}")
+        turn = np.eye(3)
+        c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)
+        turn[:2, :2] = [[c, s], [-s, c]]
+        here = np.array((self._corner.inverse @ pose)[:3])
+        self._particles = particle_filter.spread(here, turn @ covariance @ turn.T, self.settings.particles, self._rng)
+        self._weights = np.full(len(self._particles), 1.0 / len(self._particles))
+        self._covariance = covariance
+        self._updated = self._track.newest
+        self._correction = None if self._updated is None else pose @ self._updated.inverse
+        self._start = pose
+        self._forced = self._anew = True
+        self._seen, self._moved_away = None, False
+        self._searched_ns, self._fruitless = _NEVER, 0
+        self._status, self._reason = Status.NOT_YET, "a start was given, and no scan has been held against it yet"
+
+    @property
+    def correction(self) -> Pose | None:
+        """The odometry's frame on the map; None where there is none yet."""
+        return self._correction
+
+    @property
+    def pose(self) -> Pose | None:
+        """The newest odometry, corrected."""
+        newest = self._track.newest
+        if not len(self._particles):
+            return None
+        if newest is None or self._correction is None:
+            return self._start
+        return self._correction @ newest
+
+    def estimate(self) -> Estimate:
+        """Where the robot is, and how sure that is."""
+        return Estimate(self.pose, self._covariance, self._quality, self._status, self._reason)
+
+    def cloud(self) -> Floats:
+        """The particles on the map, (n, 3): metres, radians."""
+        found = self._particles.copy()
+        c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)
+        x, y = found[:, 0].copy(), found[:, 1].copy()
+        found[:, 0], found[:, 1] = self._corner.x + c * x - s * y, self._corner.y + s * x + c * y
+        found[:, 2] = particle_filter.wrapped(found[:, 2] + self._corner.theta)
+        return found
+
+    def check(self, now_ns: int) -> tuple[Status, str]:
+        """The status at a time, where scans or odometry may have fallen silent; and why it is not better."""
+        if not len(self._particles):
+            return self._status, self._reason
+        newest = self._track.newest
+        for what, stamp, most in (
+            ("odometry is", newest.stamp_ns if newest else _NEVER, self.settings.odometry_age),
+            ("the laser is", self._scan_ns, self.settings.scan_age),
+        ):
+            age = (now_ns - stamp) / 1e9
+            if age > most:
+                said = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
+                return (Status.NOT_YET if self._status is Status.NOT_YET else Status.ERROR), f"{what} {said}"
+        return self._status, self._reason
+
+    def scan(self, stamp_ns: int, points: Floats) -> bool:
+        """Take up a scan.
+
+        Args:
+            stamp_ns: when it was taken.
+            points: (n, 2) where its beams ended, in the base's frame, metres.
+
+        Returns:
+            Whether the filter ran: it does where the base has moved, and after a start.
+        """
+        self._scan_ns = stamp_ns
+        odometry = self._track.at(stamp_ns)
+        if odometry is None or not len(self._particles):
+            return False
+        if self._updated is None or self._correction is None:
+            self._updated, self._correction = odometry, self._start @ odometry.inverse
+        points = thinned(points, self.settings.beams)
+        if len(points) < _FEWEST:
+            self._judge(0.0, odometry, "the laser sees nothing: all its beams are empty")
+            return False
+        ran = self._forced or self._far(odometry)
+        if ran:
+            self._update(odometry, points)
+        here = self._corner.inverse @ self._correction @ odometry
+        share = self._explained(here[:3], points)
+        self._judge(share, odometry)
+        self._look_around(stamp_ns, here, share, odometry, points)
+        return ran
+
+    def _far(self, odometry: Pose) -> bool:
+        """Whether the base has gone on far enough since the last update."""
+        assert self._updated is not None
+        step = self._updated.inverse @ odometry
+        return (
+            math.hypot(step.x, step.y) >= self.settings.update_distance or abs(step.theta) >= self.settings.update_angle
+        )
+
+    def _update(self, odometry: Pose, points: Floats) -> None:
+        """Move the particles, weigh them, and draw them again where few of them count."""
+        assert self._updated is not None
+        settings = self.settings
+        step = self._updated.inverse @ odometry
+        particle_filter.drive(
+            self._particles, (step.x, step.y, step.theta), settings.alphas, self._rng, holonomic=settings.holonomic
+        )
+        logs = self._field.score(self._table, self._worst, self._particles, points)
+        logs *= min(1.0, settings.independent / len(points))
+        self._weights = particle_filter.weighed(self._weights, logs)
+        found = particle_filter.heaviest(self._particles, self._weights, self._rng)
+        if particle_filter.effective(self._weights) < len(self._weights) / 2:
+            which = particle_filter.drawn(self._weights, settings.particles, self._rng)
+            self._particles = self._particles[which]
+            self._weights = np.full(len(which), 1.0 / len(which))
+        self._updated, self._forced = odometry, False
+        self._correction = self._corner @ Pose(*map(float, found.mean)) @ odometry.inverse
+        self._covariance = self._turned(found.covariance)
+        self.updates += 1
+
+    def _turned(self, covariance: Floats) -> Floats:
+        """A covariance in the field's frame, in the map's."""
+        turn = np.eye(3)
+        c, s = math.cos(self._corner.theta), math.sin(self._corner.theta)
+        turn[:2, :2] = [[c, -s], [s, c]]
+        found: Floats = turn @ covariance @ turn.T
+        return found
+
+    def _explained(self, here: tuple[float, float, float], points: Floats) -> float:
+        """The share of beams that end at walls of the map."""
+        return float((self._field.misses(here, points) < self.settings.explained_within).mean())
+
+    def _judge(self, share: float, odometry: Pose, why: str = "") -> None:
+        """Say whether the robot is localised."""
+        settings = self.settings
+        self._quality = share if self._anew else _MEMORY * self._quality + (1.0 - _MEMORY) * share
+        self._anew = False
+        if self._quality >= settings.good:
+            self._seen, self._moved_away = odometry, False
+        wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
+        if self._quality < settings.poor or (self._quality < settings.good and self._status is not Status.OK):
+            self._status = Status.ERROR
+            self._reason = why or self._why_lost(odometry)
+        elif wide > settings.widest:
+            self._status = Status.NOT_YET
+            self._reason = f"the robot may be anywhere within {wide:.1f} m (standard deviation) still"
+        else:
+            self._status, self._reason = Status.OK, ""
+
+    def _why_lost(self, odometry: Pose) -> str:
+        lost = f"lost: the map explains {self._quality:.0%} of the scan"
+        if self._seen is None:
+            return f"{lost}; was the start wrong, or is it another map?"
+        step = self._seen.inverse @ odometry
+        if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
+            return f"{lost} now, and odometry says that the base has not moved: is it frozen, or was the robot carried?"
+        return f"{lost} now"
+
+    def _look_around(self, stamp_ns: int, here: Pose, share: float, odometry: Pose, points: Floats) -> None:
+        """Look for places that explain the scan better, and put particles there."""
+        settings = self.settings
+        pause = settings.search_every * min(4, 1 + self._fruitless // 4)
+        if max(share, self._quality) >= settings.sure or (stamp_ns - self._searched_ns) / 1e9 < pause:
+            return
+        self._searched_ns = stamp_ns
+        self.searches += 1
+        lost = self._quality < settings.poor
+        window = Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)
+        if lost and self._fruitless >= 2:
+            window = self._search.everywhere()
+        poses, scores = self._search.best(points, window)
+        shares = np.array([self._explained((pose[0], pose[1], pose[2]), points) for pose in poses])
+        better = shares >= max(share + settings.better, settings.poor)
+        if not better.any():
+            self._fruitless += 1
+            return
+        self._fruitless = 0
+        self._scatter(poses[better], scores[better] * min(1.0, settings.independent / len(points)), odometry)
+
+    def _scatter(self, poses: Floats, logs: Floats, odometry: Pose) -> None:
+        """Put particles at other poses; the next scan decides."""
+        count = round(_AFRESH * self.settings.particles)
+        kept = particle_filter.drawn(self._weights, self.settings.particles - count, self._rng)
+        assert self._updated is not None
+        # those that are kept have yet to make the step that the base made since they were weighed
+        step = self._updated.inverse @ odometry
+        particles = self._particles[kept]
+        particle_filter.drive(
+            particles,
+            (step.x, step.y, step.theta),
+            self.settings.alphas,
+            self._rng,
+            holonomic=self.settings.holonomic,
+        )
+        share = particle_filter.weighed(np.full(len(poses), 1.0 / len(poses)), logs)
+        share = 0.5 * share + 0.5 / len(poses)
+        which = particle_filter.drawn(share, count, self._rng)
+        fresh = poses[which] + particle_filter.spread(np.zeros(3), _SCATTER, count, self._rng)
+        self._particles = np.concatenate([particles, fresh])
+        self._particles[:, 2] = particle_filter.wrapped(self._particles[:, 2])
+        self._weights = np.full(len(self._particles), 1.0 / len(self._particles))
+        self._updated, self._forced, self._anew = odometry, True, True
