@@ -1,0 +1,1 @@
+"""The module RobotGoto: drives to a goal by laser and frames alone."""

@@ -1,0 +1,416 @@
+"""Drives to a goal, by the laser and the robot's pose alone: RobotGoto without its ports.
+
+Time comes in as an argument, so that a harness can drive it in lock-step with a simulator.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from navigation.algorithms.rolling_grid import UNKNOWN
+from navigation.algorithms.stopping import kernels
+from navigation.constraints import Constraints
+from navigation.pose import Pose, wrapped
+from navigation.robot_goto.command import STILL, Command, Status
+from navigation.robot_goto.local_grid import RESOLUTION, LocalGrid, Scan
+from navigation.robot_goto.settings import Settings
+from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
+from navigation.status import Fault, State
+
+COAST = 0.3
+"""Seconds for which the robot goes on behind a waypoint that it is to pass, until the next goal comes."""
+
+CLEAR = 1.0
+"""Seconds for which the way is to be free before the robot goes on."""
+
+RAMP = 2.0
+"""Seconds in which it comes up to speed then."""
+
+RETREAT_SPEED = 0.2
+MAX_RETREAT = 2.0
+_CREEP_ROOM, _FAST_ROOM = 0.01, 0.05
+_PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
+_JUMP = 0.3
+
+
+@dataclass
+class Task:
+    """A goal under way.
+
+    Attributes:
+        pose: on the map; theta is NaN where any heading will do.
+        asked: its constraints.
+        near: whether it is there, but for the heading.
+        best: the least that was left of the way, metres; ``best_turn`` of the heading, radians.
+        progress_at: when that was, seconds; None before the first step.
+    """
+
+    pose: Pose
+    asked: Constraints
+    near: bool = False
+    best: float = math.inf
+    best_turn: float = math.inf
+    progress_at: float | None = None
+
+    @property
+    def heading(self) -> bool:
+        """Whether its heading matters."""
+        return self.asked.heading and not self.asked.through and math.isfinite(self.pose.theta)
+
+
+class Driver:
+    """Drives a robot to goals.
+
+    Args:
+        settings: what it drives by; may be replaced at any time.
+
+    Attributes:
+        status: how the goal is getting on.
+        grid: what the laser saw around it lately.
+        command: what was commanded last.
+        spoken: what there is to say to people around, the oldest first; taken out by whoever says it.
+        ahead: what is around it: see `navigation.algorithms.stopping.kernels`.
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius)
+        self.status = Status()
+        self.command = STILL
+        self.spoken: deque[str] = deque(maxlen=8)
+        self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
+        self._slowed, self._look_ahead = kernels()
+        self._points = np.empty((0, 3))
+        self._has, self._wanted, self._blocker = np.zeros(3), np.zeros(3), np.zeros(3)
+        self.forget()
+
+    def forget(self) -> None:
+        """Give the goal up, and all that was seen: time was set back."""
+        self.cancel()
+        self.grid.clear()
+        self._now: float | None = None
+        self._passed = 0.0
+        self._moved: Pose | None = None
+
+    # goals
+
+    def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
+        """Drive there; an active goal is left for it without a stop.
+
+        Args:
+            pose: on the map; theta NaN where any heading will do.
+            constraints: what holds for this goal.
+
+        Raises:
+            ValueError: the place is not finite.
+        """
+        if not (math.isfinite(pose.x) and math.isfinite(pose.y)):
+            raise ValueError(f"a goal is a place: x and y are numbers, not {pose.x} and {pose.y}")
+        resting = self._task is None and self.command == STILL
+        self._clear()
+        self._task = Task(pose, constraints or Constraints())
+        back_off = resting and self.settings.retreat
+        self.status = Status(State.PREPARING if back_off else State.MOVING)
+        self._retreat = min(self.settings.retreat_duration, MAX_RETREAT) if back_off else 0.0
+
+    def approach(self, direction: float, speed: float, seconds: float) -> None:
+        """Move by the laser alone: so far as nothing is in the way. Ends by itself, in at most 2 s where it goes back.
+
+        Args:
+            direction: radians, of the robot's frame; a differential base goes forward or back.
+            speed: m/s.
+            seconds: for how long.
+        """
+        self._clear()
+        speed = min(abs(speed), self.settings.max_lin_speed)
+        back = math.cos(direction) < 0.0
+        if not self.settings.holonomic:
+            direction = math.pi if back else 0.0
+        self._push = Command(speed * math.cos(direction), speed * math.sin(direction))
+        self._push_left = min(max(0.0, seconds), MAX_RETREAT) if back else max(0.0, seconds)
+        self.status = Status(State.PREPARING)
+
+    def cancel(self) -> None:
+        """Give the goal up and stop."""
+        self._clear()
+        self.status = Status()
+
+    def pause(self, seconds: float = math.inf, reason: str = "") -> bool:
+        """Stand still for so long, then go on; whether there is a goal to pause. Not a number, or 0: until resumed."""
+        if self._task is None:
+            return False
+        self._pause_left = seconds if seconds > 0.0 else math.inf
+        self.status = Status(State.PAUSED, reason)
+        return True
+
+    def resume(self) -> bool:
+        """Go on; whether it was paused."""
+        if self.status.state is not State.PAUSED or self._task is None:
+            return False
+        self._task.progress_at = None
+        self._waiting_since = None
+        self.status = Status(State.MOVING)
+        return True
+
+    def _clear(self) -> None:
+        self._task: Task | None = None
+        self._push = STILL
+        self._push_left = self._retreat = self._coast = self._pause_left = 0.0
+        self._aim: Aim | None = None
+        self._aimed: float | None = None
+        self._waiting_since: float | None = None
+        self._seen_at = self._removed_at = -math.inf
+        self._looked = 0.0
+        self._look_way = 0.0
+
+    @property
+    def target(self) -> Task | None:
+        """The goal under way."""
+        return self._task
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is to be commanded: nobody asked for anything."""
+        return self.status.ended and self.command == STILL
+
+    # the senses
+
+    def scan(self, scan: Scan, moved: Pose) -> None:
+        """Take up a scan.
+
+        Args:
+            scan: a turn of the laser, with the base as its middle.
+            moved: where the base was in the odometry's frame as it was made (on the map where there is no odometry).
+        """
+        self.grid.scan(scan, moved)
+
+    def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> Command:
+        """What to command now.
+
+        Args:
+            now: seconds, on the scans' clock.
+            pose: where the robot is on the map; None where that is not known.
+            moved: where it is in the odometry's frame, in which the laser's memory is kept; the map's without it.
+            why: why ``pose`` is not known.
+        """
+        passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
+        self._now = now
+        self._passed = passed
+        self._follow(passed)
+        moved = moved or pose
+        if moved is not None:
+            if self._moved is not None and self._moved.distance(moved) > _JUMP + 2.0 * passed:
+                self.grid.clear()
+            self._moved = moved
+        self.command = self._chosen(now, passed, pose, moved, why)
+        return self.command
+
+    def _follow(self, passed: float) -> None:
+        """How fast the base goes by now, by what it was commanded."""
+        limits = self.settings
+        dx, dy = self.command.vx - self._has[0], self.command.vy - self._has[1]
+        change, most = math.hypot(dx, dy), limits.linear_acceleration * passed
+        share = min(1.0, most / change) if change else 1.0
+        self._has[0] += dx * share
+        self._has[1] += dy * share
+        most = limits.angular_acceleration * passed
+        self._has[2] += min(most, max(-most, self.command.omega - self._has[2]))
+
+    def _chosen(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, why: str) -> Command:
+        if self.status.state is State.PAUSED:
+            self._pause_left -= passed
+            if self._pause_left > 0.0 or not self.resume():
+                return STILL
+        coasting = self._coast > 0.0
+        if self.status.ended and not coasting:
+            return STILL
+        trouble = self._trouble(now, pose, why)
+        if trouble is not None or pose is None or moved is None:
+            reason, fault = trouble or (why, Fault.NOT_LOCALIZED)
+            return STILL if coasting else self._wait(now, reason, fault)
+        if coasting:
+            self._coast -= passed
+            return self._guarded(now, moved, self._last) if self._coast > 0.0 else STILL
+        if self._push_left > 0.0 or self._retreat > 0.0:
+            return self._pushed(now, passed, moved)
+        if self._task is None:  # an approach that is done
+            self.status = Status()
+            return STILL
+        self._last = self._driven(now, self._task, pose, moved)
+        return self._guarded(now, moved, self._last)
+
+    def _trouble(self, now: float, pose: Pose | None, why: str) -> tuple[str, Fault] | None:
+        if pose is None and self._task is not None:
+            return f"where the robot is is not known{': ' if why else ''}{why}", Fault.NOT_LOCALIZED
+        scanned = self.grid.scanned
+        if scanned is None:
+            return "no scan of the laser has come yet", Fault.NO_LASER
+        if now - scanned > self.settings.laser_timeout:
+            return f"the laser is silent: its last scan is {now - scanned:.1f} s old", Fault.NO_LASER
+        return None
+
+    def _wait(self, now: float, reason: str, fault: Fault) -> Command:
+        """Stand still until it is over, and fail where it is not in time."""
+        if self._task is None:  # an approach that cannot see
+            self._clear()
+            self.status = Status(State.ABORTED, reason, fault)
+            return STILL
+        if self._waiting_since is None:
+            self._waiting_since = now
+        self._task.progress_at = None
+        waited = now - self._waiting_since
+        if waited > self.settings.max_waiting_time:
+            self._end(State.FAILING, f"{reason}; waited {waited:.0f} s for it to change", fault)
+        else:
+            self.status = Status(State.WAITING, reason, fault)
+        return STILL
+
+    def _end(self, state: State, reason: str, fault: Fault = Fault.NONE) -> None:
+        self._clear()
+        self.status = Status(state, reason, fault)
+
+    def _pushed(self, now: float, passed: float, moved: Pose) -> Command:
+        """Back off, or approach."""
+        if self._push_left > 0.0:
+            self._push_left -= passed
+            wanted = self._push if self._push_left > 0.0 else STILL
+        else:
+            self._retreat -= passed
+            wanted = Command(-RETREAT_SPEED) if self._retreat > 0.0 else STILL
+            if self._retreat <= 0.0:
+                self.status = Status(State.MOVING)
+        return self._guarded(now, moved, wanted)
+
+    # the goal
+
+    def _driven(self, now: float, task: Task, pose: Pose, moved: Pose) -> Command:
+        limits = Limits.of(self.settings, task.asked)
+        seen = pose.inverse @ task.pose
+        distance = math.hypot(seen.x, seen.y)
+        turn = wrapped(task.pose.theta - pose.theta) if task.heading else 0.0
+        task.near = distance < limits.tolerance_lin * (1.5 if task.near else 1.0)
+        if task.near:
+            if abs(turn) <= limits.tolerance_ang:
+                self._reached(task)
+                return Command(*self.command) if task.asked.through else STILL
+            self._waiting_since = None
+            self.status = Status(State.MOVING)
+            if self._stuck(now, task, task.best, abs(turn)):
+                return STILL
+            return Command(omega=limits.turn(limits.ang_gain * turn))
+        towards = self._towards(now, limits, moved, seen)
+        beta = wrapped(math.atan2(towards.y - moved.y, towards.x - moved.x) - moved.theta)
+        if self._blocked(now, limits, moved, beta, distance, towards) or self._stuck(now, task, towards.left, math.inf):
+            return STILL
+        ramp = min(1.0, max(0.05, (now - self._removed_at) / RAMP))
+        wanted = drive(self.settings, limits, distance, beta, float(self.ahead[3]), ramp, through=task.asked.through)
+        most = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - _FAST_ROOM)
+        share = min(1.0, most / wanted.speed) if wanted.speed else 1.0
+        return Command(wanted.vx * share, wanted.vy * share, wanted.omega)
+
+    def _reached(self, task: Task) -> None:
+        self._end(State.REACHED, "")
+        self._coast = COAST if task.asked.through else 0.0
+
+    def _towards(self, now: float, limits: Limits, moved: Pose, seen: Pose) -> Aim:
+        """Where to drive to next, in the grid's frame."""
+        goal = moved @ seen
+        if not limits.avoid:
+            return Aim(goal.x, goal.y, math.inf, math.hypot(seen.x, seen.y), direct=True)
+        if self._aim is None or self._aimed != self.grid.scanned:
+            self._aim = aim(self.grid, now, moved, (goal.x, goal.y), self.settings.robot_radius)
+            self._aimed = self.grid.scanned
+        return self._aim._replace(x=goal.x, y=goal.y) if self._aim.direct else self._aim
+
+    def _blocked(self, now: float, limits: Limits, moved: Pose, beta: float, distance: float, towards: Aim) -> bool:
+        """Whether to wait for something ahead; tells people so."""
+        settings = self.settings
+        length = settings.max_detection_distance
+        if settings.dynamic_distance:
+            length *= min(1.0, float(np.hypot(self._has[0], self._has[1])) / max(settings.max_lin_speed, 1e-3))
+        length = max(length, settings.min_detection_distance)
+        radius = settings.robot_radius
+        self._look_ahead(
+            self.grid.points, self.grid.count, moved.x, moved.y, moved.theta, beta,
+            min(length, distance + radius), radius, radius, settings.frontal_blind_angle, self.ahead,
+        )  # fmt: skip
+        reason = ""
+        if limits.avoid:
+            if towards.blocked < max(length, radius + 0.2):
+                reason = "the way is blocked"
+            elif limits.stop and self.ahead[1] >= 2:
+                reason = "somebody crosses the way"
+            elif people_speed(settings, self.ahead[2] - radius - _FAST_ROOM) < 0.02:
+                reason = "somebody is too near"
+        elif limits.stop and self.ahead[0] >= 2:
+            reason = "there is an obstacle on the way"
+        if reason:
+            if self._seen_at < now - CLEAR and self.status.state is not State.WAITING:
+                self.spoken.append("Obstacles detected")
+            self._seen_at = now
+            self._wait(now, reason, Fault.BLOCKED)
+            return True
+        if now - self._seen_at <= CLEAR:
+            self._wait(now, "the way has just become free", Fault.BLOCKED)
+            return True
+        if self._waiting_since is not None:
+            if math.isfinite(self._seen_at):
+                self.spoken.append("Obstacles removed, thank you")
+            self._waiting_since, self._removed_at, self._seen_at = None, now, -math.inf
+        self.status = Status(State.MOVING)
+        return False
+
+    def _stuck(self, now: float, task: Task, left: float, turn: float) -> bool:
+        """Whether there was no progress for too long; ends or pauses the goal then."""
+        if task.progress_at is None or left < task.best - _PROGRESS or turn < task.best_turn - _TURN_PROGRESS:
+            task.best, task.best_turn, task.progress_at = left, turn, now
+        if now - task.progress_at <= self.settings.deadlock_time:
+            return False
+        reason = f"deadlock: no progress for {now - task.progress_at:.0f} s"
+        if self.settings.on_deadlock == "pause":
+            self.pause(math.inf, reason)
+        else:
+            self._end(State.ABORTED, reason, Fault.BLOCKED)
+        return True
+
+    # the guard
+
+    def _guarded(self, now: float, moved: Pose, wanted: Command) -> Command:
+        """No faster than the robot can stop before what is around it, seen or not seen for long."""
+        if wanted == STILL:
+            return STILL
+        settings = self.settings
+        cells, unsure = self.grid.unsure(moved, now)
+        count = self.grid.count + unsure
+        if len(self._points) < count:
+            self._points = np.empty((2 * count, 3))
+        self._points[: self.grid.count] = self.grid.points[: self.grid.count]
+        self._points[self.grid.count : count] = cells[:unsure]
+        self._wanted[:] = wanted
+        scale = self._slowed(
+            self._points, count, moved.x, moved.y, moved.theta, self._has, self._wanted, settings.reaction,
+            settings.linear_acceleration, settings.angular_acceleration, settings.robot_radius,
+            _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, RESOLUTION, self._blocker,
+        )  # fmt: skip
+        if scale == 0.0 and wanted.speed and self._blocker[2] == UNKNOWN:
+            return self._look(now, moved)
+        self._look_way = 0.0
+        if scale:
+            self._looked = 0.0
+        return Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
+
+    def _look(self, now: float, moved: Pose) -> Command:
+        """Turn on the spot until the laser has seen where the way leads; no more than round once."""
+        if self._task is None or self._retreat > 0.0:
+            return STILL
+        if self._looked > 2.2 * math.pi:
+            return self._wait(now, "the laser cannot see where the way leads", Fault.BLOCKED)
+        if not self._look_way:
+            bearing = math.atan2(self._blocker[1] - moved.y, self._blocker[0] - moved.x) - moved.theta
+            self._look_way = math.copysign(1.0, wrapped(bearing))
+        self._looked += abs(self._has[2]) * self._passed
+        return Command(omega=self._look_way * 0.7 * self.settings.max_ang_speed)

@@ -1,0 +1,142 @@
+"""What is around the robot, as its laser saw it last."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.rolling_grid import NEVER, OCCUPIED, UNKNOWN, kernels
+from navigation.pose import Pose
+
+RESOLUTION = 0.05
+SIDE = 100
+"""Cells; the window is 5 m square, with the robot in its middle."""
+
+NEAR = 1.5
+"""Metres around the robot within which single cells are given."""
+
+
+class Scan(Protocol):
+    """A turn of a laser that is in the base's middle (`sim.laser.Scan`, `navigation.robot_goto.beams.Beams`)."""
+
+    @property
+    def time_ns(self) -> int:
+        """When it was made."""
+
+    @property
+    def first(self) -> float:
+        """The first beam's direction, radians."""
+
+    @property
+    def step(self) -> float:
+        """From each beam to the next, radians."""
+
+    @property
+    def nearest(self) -> float:
+        """What is nearer was not measured, metres."""
+
+    @property
+    def farthest(self) -> float:
+        """What is farther was not measured."""
+
+    @property
+    def ranges(self) -> NDArray[np.floating]:
+        """Metres; infinite where nothing was hit, NaN where nothing is known, minus infinity where it is too near."""
+
+
+class LocalGrid:
+    """A window of 5 m around the robot, in a frame in which it moves smoothly (the odometry's).
+
+    Args:
+        memory: seconds for which what was seen of a place is believed; then it is unknown again.
+        radius: the robot's, metres: where it stands itself is free.
+
+    Attributes:
+        points: (n, 3) where the newest scan's beams ended, x and y; 1 where something came lately, else 0.
+        count: how many of them there are.
+        scanned: when the newest scan was made, seconds; None before the first.
+    """
+
+    def __init__(self, memory: float, radius: float) -> None:
+        self._memory, self._radius = memory, radius
+        self._mark, self._near, self._states, self._stand = kernels()
+        self._cells = np.empty((SIDE * SIDE, 3))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._passed, self._ended, self._since = (np.full((SIDE, SIDE), NEVER) for _ in range(3))
+        self._row0 = self._column0 = 0
+        self._placed = False
+        self.points = np.empty((0, 3))
+        self.count = 0
+        self.scanned: float | None = None
+
+    def scan(self, scan: Scan, at: Pose) -> None:
+        """Take up a scan.
+
+        Args:
+            scan: with the base as its middle.
+            at: where the base was as it was made, in the grid's frame.
+        """
+        now = scan.time_ns / 1e9
+        self._move(at)
+        if len(self.points) < len(scan.ranges):
+            self.points = np.empty((len(scan.ranges), 3))
+        self._stand(self._passed, self._ended, RESOLUTION, now, self._memory, at.x, at.y, 0.7 * self._radius)
+        ranges = np.ascontiguousarray(scan.ranges, np.float64)
+        self.count = self._mark(
+            self._passed, self._ended, self._since, RESOLUTION, self._row0, self._column0, now,
+            at.x, at.y, at.theta, scan.first, scan.step, scan.nearest, scan.farthest, ranges, self.points,
+        )  # fmt: skip
+        self.scanned = now
+
+    def _move(self, at: Pose) -> None:
+        """Have the robot in the middle; what comes into the window by it is not known yet."""
+        row0, column0 = math.floor(at.y / RESOLUTION) - SIDE // 2, math.floor(at.x / RESOLUTION) - SIDE // 2
+        for axis, new, old in ((0, row0, self._row0), (1, column0, self._column0)):
+            moved = min(abs(new - old), SIDE) if self._placed else SIDE
+            begin = old + SIDE if new > old else new
+            places = np.arange(begin, begin + moved) % SIDE
+            for array in (self._passed, self._ended, self._since):
+                array[(places, slice(None)) if axis == 0 else (slice(None), places)] = NEVER
+        self._row0, self._column0, self._placed = row0, column0, True
+
+    def unsure(self, at: Pose, now: float) -> tuple[NDArray[np.float64], int]:
+        """Cells around a place that are not free, though the newest scan did not see it: (n, 3), and how many.
+
+        The third of each is `OCCUPIED` or `UNKNOWN`.
+        """
+        scanned = NEVER - 1.0 if self.scanned is None else self.scanned
+        count = self._near(
+            self._passed, self._ended, RESOLUTION, self._row0, self._column0, now, self._memory,
+            at.x, at.y, NEAR, scanned, self._cells,
+        )  # fmt: skip
+        return self._cells, count
+
+    def states(self, now: float) -> NDArray[np.uint8]:
+        """(rows, columns) of all cells: free, `OCCUPIED` or `UNKNOWN`, from the window's corner."""
+        out = np.empty((SIDE, SIDE), np.uint8)
+        self._states(self._passed, self._ended, self._row0, self._column0, now, self._memory, out)
+        return out
+
+    def occupancy(self, now: float) -> NDArray[np.int8]:
+        """The same as ROS has it: 0 free, 100 occupied, -1 unknown; rows go up."""
+        states = self.states(now)
+        return np.where(states == UNKNOWN, -1, np.where(states == OCCUPIED, 100, 0)).astype(np.int8)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """X and y of the window's corner, metres."""
+        return self._column0 * RESOLUTION, self._row0 * RESOLUTION
+
+    def cell(self, x: float, y: float) -> tuple[float, float]:
+        """The row and column in the window of a place, as numbers of which the whole ones are cells' middles."""
+        return y / RESOLUTION - self._row0 - 0.5, x / RESOLUTION - self._column0 - 0.5
+
+    def place(self, row: float, column: float) -> tuple[float, float]:
+        """The other way round: x and y."""
+        return (column + self._column0 + 0.5) * RESOLUTION, (row + self._row0 + 0.5) * RESOLUTION

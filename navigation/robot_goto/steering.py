@@ -1,0 +1,168 @@
+"""Where to drive: the way down the potential field, and the law that follows it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from navigation.algorithms.distance_transform import distance_transform
+from navigation.algorithms.potential_field import descend
+from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_goto.command import Command
+from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
+from navigation.robot_goto.settings import Settings
+
+INFLUENCE = 0.8
+"""Obstacles that are farther off repel not (upstream's ``max_obstacle_distance``), metres."""
+
+_SPARE = 0.05
+_WIDE = math.radians(60.0)
+
+
+class Limits(NamedTuple):
+    """What holds for one goal: the settings, and what the goal asks for beside them. Metres, radians, seconds."""
+
+    max_lin: float
+    min_lin: float
+    max_ang: float
+    min_ang: float
+    lin_gain: float
+    ang_gain: float
+    tolerance_lin: float
+    tolerance_ang: float
+    avoid: bool
+    stop: bool
+
+    @classmethod
+    def of(cls, settings: Settings, asked: Constraints) -> Limits:
+        """The limits of a goal; none lets the robot go faster than its settings do."""
+
+        def chosen(value: float | None, own: float, factor: float = 1.0) -> float:
+            return own if value is None else value * factor
+
+        degrees = math.pi / 180.0
+        max_lin = min(chosen(asked.max_lin_speed, settings.max_lin_speed), settings.max_lin_speed)
+        max_ang = min(chosen(asked.max_ang_speed, settings.max_ang_speed, degrees), settings.max_ang_speed)
+        return cls(
+            max_lin,
+            min(chosen(asked.min_lin_speed, settings.min_lin_speed), max_lin),
+            max_ang,
+            min(chosen(asked.min_ang_speed, settings.min_ang_speed, degrees), max_ang),
+            chosen(asked.lin_speed_gain, settings.lin_speed_gain),
+            chosen(asked.ang_speed_gain, settings.ang_speed_gain),
+            chosen(asked.tolerance_lin, settings.goal_tolerance_lin),
+            chosen(asked.tolerance_ang, settings.goal_tolerance_ang, degrees),
+            asked.on_obstacle == "around" or (not asked.on_obstacle and settings.avoidance),
+            asked.on_obstacle == "wait" or settings.obstacle_stop,
+        )
+
+    def speed(self, value: float) -> float:
+        """A speed within least and most; none stays none."""
+        return clipped(value, self.min_lin, self.max_lin)
+
+    def turn(self, value: float) -> float:
+        """The same of turning."""
+        return clipped(value, self.min_ang, self.max_ang)
+
+
+def clipped(value: float, least: float, most: float) -> float:
+    """A value whose size is within two bounds; 0 stays 0."""
+    return math.copysign(min(most, max(least, abs(value))), value) if value else 0.0
+
+
+class Aim(NamedTuple):
+    """Where to drive to next.
+
+    Attributes:
+        x: metres, in the grid's frame; also y.
+        blocked: metres along the way to what blocks it; infinite where nothing does.
+        left: metres of way to the goal, dear places counting for more.
+        direct: whether it is the goal itself, in a straight line.
+    """
+
+    x: float
+    y: float
+    blocked: float
+    left: float
+    direct: bool
+
+
+def aim(grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radius: float) -> Aim:
+    """Where the potential field leads.
+
+    Args:
+        grid: what is around.
+        now: seconds.
+        here: the robot, in the grid's frame.
+        goal: x and y there.
+        radius: the robot's, metres.
+    """
+    states = grid.states(now)
+    distances = distance_transform(states == OCCUPIED)
+    row, column = (min(max(round(at), 0), SIDE - 1) for at in grid.cell(here.x, here.y))
+    way = descend(
+        distances, states == UNKNOWN, (row, column), grid.cell(*goal),
+        radius / RESOLUTION, INFLUENCE / RESOLUTION, _SPARE / RESOLUTION,
+    )  # fmt: skip
+    if way.direct or not len(way.cells):
+        return Aim(*goal, math.inf, way.cost * RESOLUTION, direct=True)
+    to = goal if way.aim == len(way.cells) - 1 and _near(grid, goal, way.cells[-1]) else grid.place(*way.cells[way.aim])
+    return Aim(*to, way.blocked * RESOLUTION, way.cost * RESOLUTION, direct=False)
+
+
+def _near(grid: LocalGrid, goal: tuple[float, float], cell: tuple[int, int]) -> bool:
+    x, y = grid.place(*cell)
+    return math.hypot(goal[0] - x, goal[1] - y) <= RESOLUTION
+
+
+def drive(
+    settings: Settings, limits: Limits, distance: float, beta: float, aside: float, ramp: float, *, through: bool
+) -> Command:
+    """The law of the far phase.
+
+    Args:
+        settings: the robot's.
+        limits: the goal's.
+        distance: to the goal, metres.
+        beta: the direction to drive in, as seen from the front, radians.
+        aside: to the nearest obstacle beside the robot, metres.
+        ramp: share of the speed, after something made way.
+        through: whether the goal is passed without a stop.
+    """
+    faced = abs(beta) < settings.max_beta_angle
+    share = 1.0 if faced else 0.0
+    if limits.avoid:
+        wide = max(settings.max_beta_angle, _WIDE)
+        if not faced and abs(beta) < wide:
+            share = (wide - abs(beta)) / max(wide - settings.max_beta_angle, 1e-6)
+        share *= 1.0 - beside(settings, aside)
+    gain = limits.max_lin if through else limits.lin_gain * distance
+    braking = math.inf if through else math.sqrt(settings.linear_acceleration * distance)
+    speed = limits.speed(min(gain, braking) * share * ramp) if share else 0.0
+    turn = limits.turn(limits.ang_gain * beta) if abs(beta) > 1e-3 else 0.0
+    if settings.holonomic:
+        return Command(speed * math.cos(beta), speed * math.sin(beta), turn)
+    return Command(speed, 0.0, turn)
+
+
+def beside(settings: Settings, aside: float) -> float:
+    """The share of its speed that the robot takes back for what is beside it: upstream's law, which it leaves out."""
+    weight = max(0.0, 1.0 - aside / INFLUENCE) / 2.0
+    return min(2.2 * weight, settings.speed_reduction_factor)
+
+
+def people_speed(settings: Settings, gap: float) -> float:
+    """The speed from which the robot stands still before somebody who comes towards it is there.
+
+    Args:
+        settings: the robot's.
+        gap: metres between the two.
+    """
+    walking, reaction, braking = 1.0, settings.reaction, settings.linear_acceleration
+    left = gap - walking * reaction
+    if left <= 0.0:
+        return 0.0
+    half = reaction + walking / braking
+    return braking * (math.sqrt(half * half + 2.0 * left / braking) - half)
