@@ -25,6 +25,7 @@ from bridge.hub.control import Control
 from bridge.hub.door import Door, check_closed, has_tls, key_files
 from bridge.hub.errors import HubError, zenoh_reason
 from bridge.hub.liveliness import MIDSPAN_SPACE
+from bridge.hub.mesh import MEMBERS
 from bridge.hub.renewal import KeyWatch
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree, session_tree
 from bridge.worker import Health, Worker, costs
@@ -248,11 +249,12 @@ class RouterWorker(Worker):
                 query.reply(key, identity)
 
         session.declare_queryable(key, zenoh.handlers.Callback(tell, indirect=False))
+        self._control.serve(MEMBERS, lambda _params: {"zid": str(session.zid()), "members": _members(session)})
         self._control.serve("status", lambda _params: self._status(config, session))
         self._process.cpu_percent()
 
     def _status(self, config: Config, session: zenoh.Session) -> dict[str, Any]:
-        members = [str(transport.zid) for transport in session.info.transports()]
+        members = _members(session)
         return {
             "daemon": config.name,
             "worker": "router",
@@ -282,6 +284,10 @@ class RouterWorker(Worker):
             "machines": [asdict(machine) for machine in door.machines()],
             "commands": {name: sorted(parts) for name, parts in commands(config.rules).items()},
         }
+
+
+def _members(session: zenoh.Session) -> list[str]:
+    return [str(transport.zid) for transport in session.info.transports()]
 
 
 def _identity_key(session: zenoh.Session) -> str:

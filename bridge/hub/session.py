@@ -32,6 +32,7 @@ from bridge.hub.liveliness import (
     node_key,
     origin_key,
 )
+from bridge.hub.mesh import MEMBERS, Mesh
 from bridge.hub.origin import Origin
 from bridge.hub.publisher import HubPublisher, PublisherOptions
 from bridge.hub.qos import Qos
@@ -86,6 +87,13 @@ class HubSettings:
                 raise HubConfigError(msg)
 
 
+def _config(settings: HubSettings) -> zenoh.Config:
+    # What is too large for us is to arrive nevertheless: a link would drop it without a word.
+    room = max(settings.max_payload, MAX_PAYLOAD)
+    tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
+    return make_config(tree, settings.zenoh)
+
+
 class Hub:
     """One zenoh session that speaks rmw_zenoh's format, as one node. Safe to use from any thread.
 
@@ -117,6 +125,7 @@ class Hub:
         self._errands = Errands("hub-errands")
         self._asking = Errands("hub-asking")
         self._heartbeats = Heartbeats("hub-heartbeats")
+        self._mesh = Mesh(session, lambda: _config(settings), self._members)
         self.graph.announce(node_key(self._node))
         # a process that ends with an open session hangs in zenoh's threads
         atexit.register(self.close)
@@ -124,10 +133,7 @@ class Hub:
     @classmethod
     def open(cls, settings: HubSettings) -> Hub:
         """Open a session; raises `HubError` where zenoh cannot."""
-        # What is too large for us is to arrive nevertheless: a link would drop it without a word.
-        room = max(settings.max_payload, MAX_PAYLOAD)
-        tree = session_tree(settings.router, shared_memory=settings.shared_memory, max_payload=room)
-        config = make_config(tree, settings.zenoh)
+        config = _config(settings)
         try:
             session = zenoh.open(config)
         except zenoh.ZError as err:
@@ -159,6 +165,13 @@ class Hub:
         self._check_open()
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
+
+    def _members(self) -> set[str] | None:
+        """Who is linked with the routers of this session, as far as they tell."""
+        routers = {str(zid) for zid in self._session.info.routers_zid()}
+        answers = self._control.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
+        told = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
+        return {str(zid) for value in told for zid in value["members"]} if told else None
 
     def publisher(
         self,
@@ -294,6 +307,7 @@ class Hub:
             endpoint.close()
         for space in self._spaces:
             space.close()
+        self._mesh.close()
         self._errands.close()
         self._asking.close()
         self._heartbeats.close()

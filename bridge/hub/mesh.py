@@ -1,0 +1,135 @@
+"""The direct links between this machine's sessions, made again where one of them alone was given up.
+
+Peers learn of each other when one of them joins the router (zenoh calls it gossip) and link directly then. A link that
+is given up later is not tried again, and zenoh's routers pass nothing on between two peers (zenoh 1.10:
+``closed_session`` of ``orchestrator.rs`` connects anew to configured endpoints only, ``peers_failover_brokering`` has
+no effect any more). Who stands still for about the lease of 3 s loses some of his links and keeps others: if the
+router's is among those that he keeps, he and a lost peer hear nothing of each other until one of them is restarted.
+Seen with a worker that was stopped for 3 s again and again: the fourth time.
+
+A session that joins has the router and all peers speak of each other again. So who lost a peer that is still at the
+router opens one for a moment.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import secrets
+import time
+from collections.abc import Callable, Collection
+from threading import Event, Lock, Thread
+from typing import Any
+
+import zenoh
+
+from bridge.hub.errors import zenoh_reason
+
+_log = logging.getLogger(__name__)
+
+MEMBERS = "members"
+"""The verb by which a router of ours tells who is there."""
+
+_MARK = "d0c0ffee"
+"""Begins the zenoh ids of the sessions that introduce others: nobody misses these."""
+
+_FIRST_SECONDS = 0.5
+_LONGEST_SECONDS = 10.0
+_INTRODUCTION_SECONDS = 2.0
+_BLIND_SECONDS = 1.0
+"""How long the one introduction lasts at a router that does not tell who is there: the peer may be gone for good."""
+
+Members = Callable[[], Collection[str] | None]
+
+
+class Mesh:
+    """Watches the direct links of a session.
+
+    Args:
+        session: whose links.
+        config: makes a configuration by which another session joins the same hub.
+        members: zenoh ids of all that are linked with our routers; None where they do not tell.
+
+    Attributes:
+        mended: links that were lost and are there again.
+    """
+
+    def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
+        self._session, self._config, self._members = session, config, members
+        self._lock = Lock()
+        self._lost: set[str] = set()
+        self._thread: Thread | None = None
+        self._closed = Event()
+        self.mended = 0
+        heard: Any = zenoh.handlers.Callback(self._event, indirect=False)
+        self._listener = session.info.declare_transport_events_listener(heard)
+
+    def close(self) -> None:
+        """Watch no more. Safe to call twice."""
+        self._closed.set()
+        with self._lock:
+            thread = self._thread
+        if thread is not None:
+            thread.join(2 * _INTRODUCTION_SECONDS)
+
+    def _event(self, event: zenoh.TransportEvent) -> None:
+        """Hear of a link's beginning or end, on zenoh's thread."""
+        transport = event.transport
+        zid = str(transport.zid)
+        if event.kind != zenoh.SampleKind.DELETE or transport.whatami != zenoh.WhatAmI.PEER or zid.startswith(_MARK):
+            return
+        with self._lock:
+            if self._closed.is_set():
+                return
+            self._lost.add(zid)
+            if self._thread is None:
+                self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
+                self._thread.start()
+
+    def _run(self) -> None:
+        pause = _FIRST_SECONDS
+        while not self._closed.wait(pause):
+            try:
+                going_on = self._mend()
+            except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
+                _log.debug("lost links are not mended: %s", zenoh_reason(err))
+                going_on = True
+            with self._lock:
+                if not going_on:
+                    self._lost.clear()
+                if not self._lost:
+                    self._thread = None
+                    return
+            pause = min(2 * pause, _LONGEST_SECONDS)
+
+    def _mend(self) -> bool:
+        """Introduce those that are missing; False where trying on is of no use."""
+        if not self._session.info.routers_zid():  # its return has all speak of each other
+            return True
+        members = self._members()
+        with self._lock:
+            if members is not None:
+                self._lost.intersection_update(members)
+            self._lost -= self._here()
+            missing = set(self._lost)
+        if missing:
+            self._introduce(missing, _BLIND_SECONDS if members is None else _INTRODUCTION_SECONDS)
+        return members is not None
+
+    def _here(self) -> set[str]:
+        return {str(zid) for zid in self._session.info.peers_zid()}
+
+    def _introduce(self, missing: Collection[str], seconds: float) -> None:
+        """Have a session join that speaks of them, until they are here."""
+        config = self._config()
+        config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
+        session = zenoh.open(config)
+        try:
+            deadline = time.monotonic() + seconds
+            while time.monotonic() < deadline and not self._closed.wait(0.02):
+                if self._here().issuperset(missing):
+                    self.mended += len(missing)
+                    _log.warning("the direct link to %s had been lost, and is there again", ", ".join(missing))
+                    break
+        finally:
+            session.close()  # type: ignore[no-untyped-call]

@@ -1,0 +1,68 @@
+"""Two sessions whose direct link alone is cut are linked again; those that end are not missed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+from bridge.hub.control import Control
+from bridge.hub.mesh import MEMBERS
+from bridge.hub.session import Hub
+from tests.support.quick_hub import QuickHub
+from tests.support.wait import until
+
+
+@pytest.fixture(params=["a router that tells who is there", "a stranger's router"])
+def hubs(request: pytest.FixtureRequest) -> Iterator[QuickHub]:
+    network = QuickHub()
+    session = network._session
+    control = None
+    if "tells" in request.param:
+        control = Control(session, 0, "here", "router")
+        members = {"zid": str(session.zid())}
+        control.serve(MEMBERS, lambda _: members | {"members": [str(t.zid) for t in session.info.transports()]})
+    yield network
+    if control is not None:
+        control.close()
+    network.stop_router()
+
+
+def peers(hub: Hub) -> set[str]:
+    return {str(zid) for zid in hub._session.info.peers_zid()}
+
+
+def cut(port: int) -> None:
+    """Cut the links between peers: connections of this process where neither end is the router's port."""
+    mine = psutil.Process().net_connections("tcp")
+    listening = {c.laddr.port for c in mine if c.status == psutil.CONN_LISTEN} - {port}
+    between = [c for c in mine if c.status == psutil.CONN_ESTABLISHED and c.laddr.port in listening]
+    assert between
+    for connection in between:
+        with contextlib.closing(socket.socket(fileno=os.dup(connection.fd))) as end:
+            end.shutdown(socket.SHUT_RDWR)
+
+
+def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
+    with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
+        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked", 20)
+        heard: list[bytes] = []
+        two.serve("say", lambda params: heard.append(params["word"]))
+        cut(int(hubs.endpoint.rpartition(":")[2]))
+        until(lambda: two.zid not in peers(one) or one._mesh.mended + two._mesh.mended, "the link is lost", 20)
+        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked again", 20)
+        until(lambda: one._mesh.mended + two._mesh.mended, "who mended it knows", 20)
+        until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other", 20)
+
+
+def test_who_left_is_not_missed(hubs: QuickHub) -> None:
+    with Hub.open(hubs.settings("one")) as one:
+        with Hub.open(hubs.settings("two", "two")) as two:
+            until(lambda: two.zid in peers(one), "they are linked", 20)
+        until(lambda: two.zid not in peers(one), "the link's end is known", 20)
+        until(lambda: one._mesh._thread is None, "nobody is looked for", 20)
+        assert not one._mesh.mended
