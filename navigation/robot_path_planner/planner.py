@@ -1,0 +1,462 @@
+"""RobotPathPlanner without a hub: plans, hands waypoints to a local navigator, and plans anew where that is needed.
+
+What robotology/navigation's ``robotPathPlannerDev`` does, driven by time as an argument: a caller steps it some 5 to 50
+times a second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.shortcut import sees
+from navigation.constraints import Constraints
+from navigation.pose import Pose, wrapped
+from navigation.robot_path_planner.clutter import Clutter
+from navigation.robot_path_planner.fault import PlanError
+from navigation.robot_path_planner.ground import Ground
+from navigation.robot_path_planner.itinerary import Atlas, NoAtlas, Place, leg
+from navigation.robot_path_planner.local import LocalNavigator
+from navigation.robot_path_planner.settings import Settings
+from navigation.robot_path_planner.task import Task
+from navigation.robot_path_planner.way import Places, Way, Waypoint, blocked, way
+from navigation.status import Fault, State
+
+_WATCH = 0.5
+"""Seconds from one look at the way ahead to the next."""
+_AHEAD = 5.0
+"""Metres of the way that are looked at."""
+_AGAIN = 2.0
+"""Seconds after which a way is looked for again where there was none."""
+_GLITCH = 0.3
+"""Seconds for which a missing pose does not matter."""
+_BEGIN = 5.0
+"""Seconds after which a goal is given up where it was never known where the robot is, or nobody ever drove it."""
+_NEARER = 0.5
+"""Metres that the robot has to come nearer for its attempts to be counted anew."""
+_TURNED = math.radians(30.0)
+_AT_LINK = 3.0
+"""Metres from a link's end within which a robot that has changed maps is believed to be there."""
+
+
+class Status(NamedTuple):
+    """How the planner is getting on."""
+
+    state: State
+    reason: str = ""
+    fault: Fault = Fault.NONE
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """When the robot was where."""
+
+    at: float
+    pose: Pose
+
+
+class PathPlanner:
+    """Drives one robot to one goal at a time.
+
+    Args:
+        settings: what it works by.
+        atlas: the maps that links lead to.
+
+    Attributes:
+        settings: may be replaced; what is planned from then on goes by it.
+        status: as it is now.
+    """
+
+    def __init__(self, settings: Settings | None = None, atlas: Atlas | None = None) -> None:
+        self.settings = settings or Settings()
+        self._atlas = atlas or NoAtlas()
+        self._ground: Ground | None = None
+        self._clutter: Clutter | None = None
+        self._task: Task | None = None
+        self._halting = False
+        self._paused_until = -math.inf
+        self._seen: _Seen | None = None
+        self._watched = -math.inf
+        self.status = Status(State.IDLE)
+
+    @property
+    def ground(self) -> Ground | None:
+        """The map."""
+        return self._ground
+
+    @property
+    def clutter(self) -> Clutter | None:
+        """What the laser sees beyond it."""
+        return self._clutter
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a goal."""
+        return self._task is not None
+
+    @property
+    def target(self) -> Place | None:
+        """The goal."""
+        return self._task.goal if self._task else None
+
+    @property
+    def waypoints(self) -> tuple[Waypoint, ...]:
+        """All of the way at hand."""
+        return self._task.waypoints if self._task else ()
+
+    @property
+    def waypoint(self) -> Waypoint | None:
+        """The one that is driven to."""
+        return self._task.waypoint if self._task and self._task.waypoints else None
+
+    @property
+    def recoveries(self) -> int:
+        """How often the way was blocked and another was tried."""
+        return self._task.recoveries if self._task else 0
+
+    def remaining(self, pose: Pose) -> float:
+        """Metres to the goal, or to the link from which the way goes on on another map."""
+        task = self._task
+        if task is None:
+            return 0.0
+        return _length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
+
+    def use_map(self, ground: Ground | None) -> None:
+        """Plan on another map from now on, or on what has become of this one."""
+        before, self._ground = self._ground, ground
+        self._clutter = Clutter(ground, self.settings.obstacle_memory) if ground else None
+        task = self._task
+        if task is None or ground is None or task.due:
+            return
+        if before is None or before.name != ground.name:
+            task.due = f"the map is {ground.name} now"
+        elif task.arrived is None and blocked(ground, ground.weights == 0, self._line(task)):
+            task.due = "the map has changed"
+
+    def goal(self, pose: Pose, map_name: str = "", constraints: Constraints | None = None, *, now: float = 0.0) -> None:
+        """Drive there, instead of where it is driving.
+
+        Args:
+            pose: on the map.
+            map_name: which; empty for the map at hand.
+            constraints: what holds instead of the settings.
+            now: seconds.
+        """
+        name = map_name or (self._ground.name if self._ground else "")
+        self._task = Task(Place(name, pose), constraints or Constraints(), now)
+        self._paused_until = -math.inf
+        self.status = Status(State.THINKING, self._task.due)
+
+    def cancel(self, reason: str = "cancelled") -> None:
+        """Give the goal up; the robot stands still from the next step on."""
+        if self._task is not None:
+            self._task = None
+            self._halting = True
+            self.status = Status(State.IDLE, reason)
+
+    def pause(self, now: float, seconds: float = math.inf) -> None:
+        """Stand still for some seconds, or until `resume`."""
+        if self._task is not None:
+            self._halting = True
+            self._paused_until = now + seconds if seconds > 0 else math.inf
+            self._task.due = "it goes on"
+            self.status = Status(State.PAUSED, "paused")
+
+    def resume(self) -> None:
+        """Go on."""
+        self._paused_until = -math.inf
+
+    def recompute(self) -> None:
+        """Look for a way anew."""
+        if self._task is not None:
+            self._task.due, self._task.not_before = "it was asked for", -math.inf
+
+    def scan(self, now: float, laser: Pose, ranges: NDArray[np.float64], first: float, step: float) -> None:
+        """See what stands in the way.
+
+        Args:
+            now: seconds.
+            laser: its pose on the map.
+            ranges: metres; infinite: nothing there, NaN: nothing is known.
+            first: radians from the laser's direction to the first beam.
+            step: radians from a beam to the next.
+        """
+        if self._clutter is not None and self._task is not None:
+            self._clutter.see(laser, ranges, first, step, self.settings.obstacle_distance)
+            self._clutter.forget(now)
+
+    def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> Status:
+        """Do what is due.
+
+        Args:
+            now: seconds, never less than before.
+            pose: the robot's on the map; None where it is not known.
+            local: who drives to waypoints.
+            lost: why the pose is not known.
+        """
+        if self._halting:
+            self._halting = False
+            local.cancel()
+        task = self._task
+        if task is None or now < self._paused_until:
+            return self.status
+        try:
+            if pose is None:
+                self._wait_for_pose(task, now, local, lost)
+            else:
+                self._go(task, now, pose, local)
+        except PlanError as err:
+            self._end(local, Status(State.ABORTED, str(err), err.fault))
+        return self.status
+
+    def _go(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+        jump = self._jump(now, pose)
+        if jump and not task.due:
+            task.due = jump
+        task.lost_since, task.placed = None, True
+        if task.gone_since is not None:
+            self._wait_for_navigator(task, now, local)
+        elif task.due:
+            if now >= task.not_before:
+                self._plan(task, now, pose, local)
+        elif task.arrived is not None:
+            self._wait_for_map(task, now)
+        else:
+            self._drive(task, now, pose, local)
+
+    def _jump(self, now: float, pose: Pose) -> str:
+        """What is to be said where localisation has moved the robot further than it can have driven."""
+        seen, self._seen = self._seen, _Seen(now, pose)
+        if seen is None or not 0 <= now - seen.at < 1.0:
+            return ""
+        moved, turned = pose.distance(seen.pose), abs(wrapped(pose.theta - seen.pose.theta))
+        passed = now - seen.at
+        if moved > self.settings.jump + passed or turned > _TURNED + math.pi * passed:
+            return f"localisation moved the robot by {moved:.2f} m and {math.degrees(turned):.0f} degrees at once"
+        return ""
+
+    def _plan(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+        """Find a way and set out on it; where the laser closes all, stand and wait."""
+        if not self._is_at_link(task, now, pose):
+            return
+        try:
+            found = self._way(task, pose)
+        except PlanError as err:
+            if not err.passing:
+                raise
+            self._wait_for_way(task, now, local, str(err))
+            return
+        task.due, task.blocked_since = "", None
+        self._set_out(task, now, pose, local, found)
+
+    def _way(self, task: Task, pose: Pose) -> Way:
+        ground, clutter = self._ground, self._clutter
+        if ground is None or clutter is None:
+            raise PlanError(Fault.NO_MAP, "there is no map to plan on")
+        try:
+            task.leg = leg(self._atlas, ground, pose, task.goal)
+        except PlanError as err:
+            if task.driven and task.goal.map_name != ground.name:
+                raise PlanError(Fault.MAP_CHANGED, f"the map was changed to {ground.name} on the way: {err}") from None
+            raise
+        wanted = task.wanted if task.leg.onto is None else None
+        weights = clutter.weights() if len(clutter.cells) else None
+        return way(ground, pose, task.leg.end.pose, self.settings, wanted, weights)
+
+    def _set_out(self, task: Task, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
+        task.waypoints, task.at, task.note = found.waypoints, 0, found.note
+        task.arrived = task.closed_since = None
+        self._watched = now
+        if _is_there(pose, task.waypoint) and task.last:
+            self._arrive(task, now, local)
+            return
+        self._send(task, local)
+
+    def _send(self, task: Task, local: LocalNavigator) -> None:
+        self.status = Status(State.MOVING, task.note)
+        local.send(task.waypoint.pose, task.waypoint.constraints)
+
+    def _drive(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+        state = local.state
+        task.driven = task.driven or state is not State.ERROR
+        if state is State.REACHED or (not task.last and _is_passed(pose, task.waypoint)):
+            if task.last:
+                self._arrive(task, now, local)
+            else:
+                task.at += 1
+                self._send(task, local)
+        elif state in (State.FAILING, State.ABORTED):
+            self._recover(task, now, pose, local.reason or "the local navigator gave up")
+        elif state is State.IDLE:
+            why = local.reason or "somebody else stopped it"
+            raise PlanError(Fault.OTHER, f"the local navigator drives no more: {why}")
+        elif state is State.ERROR:
+            self._wait_for_navigator(task, now, local)
+        else:
+            self.status = Status(state, local.reason or task.note)
+            self._count(task, pose)
+            if now - self._watched >= _WATCH:
+                self._watched = now
+                self._watch(task, now, pose, local)
+
+    def _count(self, task: Task, pose: Pose) -> None:
+        """A robot that comes nearer has all its attempts again."""
+        left = self.remaining(pose)
+        if left < task.best - _NEARER:
+            task.best, task.attempts = left, 0
+
+    def _watch(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
+        """Look for another way where a wall or what the laser sees has come between."""
+        ground, clutter = self._ground, self._clutter
+        assert ground is not None
+        assert clutter is not None
+        if not _is_straight(ground, pose, task.waypoint.pose):
+            task.due = "the way is not straight any more"
+            return
+        if not len(clutter.cells) or not blocked(ground, clutter.closed(), _cut(self._ahead(pose), _AHEAD)):
+            task.closed_since = None
+            return
+        task.closed_since = now if task.closed_since is None else task.closed_since
+        waits = task.waypoint.constraints.on_obstacle == "wait"
+        if waits or now - task.closed_since < self.settings.patience or task.attempts >= self.settings.recoveries:
+            return
+        try:
+            found = self._way(task, pose)
+        except PlanError as err:
+            if not err.passing:
+                raise
+            task.closed_since = now  # there is no other; who drives waits for it
+            return
+        task.attempts += 1
+        task.recoveries += 1
+        self._set_out(task, now, pose, local, found)
+
+    def _recover(self, task: Task, now: float, pose: Pose, why: str) -> None:
+        """The local navigator failed: try another way, or this one again."""
+        self._count(task, pose)
+        if task.attempts >= self.settings.recoveries:
+            tried = f"; given up after {task.attempts} further attempts" if task.attempts else ""
+            raise PlanError(Fault.BLOCKED, why + tried)
+        task.due, task.not_before = why, now + 2.0**task.attempts - 0.5
+        task.attempts += 1
+        task.recoveries += 1
+        self.status = Status(State.WAITING, f"{why}; it is tried again")
+
+    def _arrive(self, task: Task, now: float, local: LocalNavigator) -> None:
+        assert task.leg is not None
+        if task.leg.onto is None:
+            self._end(local, Status(State.REACHED, "the goal is reached"))
+            return
+        task.arrived = now
+        name = task.leg.end.name or f"({task.leg.end.pose.x:.2f}, {task.leg.end.pose.y:.2f})"
+        self.status = Status(State.WAITING, f"at {name}: waits to be on the map {task.leg.onto.map_name}")
+
+    def _wait_for_map(self, task: Task, now: float) -> None:
+        assert task.arrived is not None
+        if now - task.arrived > self.settings.map_waiting:
+            raise PlanError(
+                Fault.MAP_CHANGED, f"the map has not changed for {now - task.arrived:.0f} s; was {_to(task)}"
+            )
+
+    def _is_at_link(self, task: Task, now: float, pose: Pose) -> bool:
+        """Whether a robot that has changed maps is known to be where its link leads; else that is waited for."""
+        if task.arrived is None or task.leg is None or task.leg.onto is None or self._ground is None:
+            return True
+        onto = task.leg.onto
+        if onto.map_name != self._ground.name or pose.distance(onto.pose) <= _AT_LINK:
+            return True
+        self._wait_for_map(task, now)
+        self.status = Status(State.WAITING, f"on the map {onto.map_name}: waits to be localised near {onto.name}")
+        return False
+
+    def _wait_for_way(self, task: Task, now: float, local: LocalNavigator, why: str) -> None:
+        if task.blocked_since is None:
+            task.blocked_since = now
+            local.cancel()
+        if now - task.blocked_since > self.settings.waiting:
+            raise PlanError(Fault.BLOCKED, f"{why}, and has for {now - task.blocked_since:.0f} s")
+        task.not_before = now + _AGAIN
+        self.status = Status(State.WAITING, why)
+
+    def _wait_for_pose(self, task: Task, now: float, local: LocalNavigator, why: str) -> None:
+        why = f"it is not known where the robot is: {why}" if why else "it is not known where the robot is"
+        task.lost_since = now if task.lost_since is None else task.lost_since
+        lost = now - task.lost_since
+        if lost >= _GLITCH and not task.due:
+            local.cancel()
+            task.due, task.not_before = "it is known again where the robot is", -math.inf
+        if lost > (self.settings.waiting if task.placed else _BEGIN):
+            raise PlanError(Fault.NOT_LOCALIZED, why)
+        if task.due:
+            self.status = Status(State.WAITING, why)
+
+    def _wait_for_navigator(self, task: Task, now: float, local: LocalNavigator) -> None:
+        if task.gone_since is None:
+            task.gone_since = now
+        if local.state is not State.ERROR:
+            task.gone_since, task.due, task.not_before = None, "the local navigator is back", -math.inf
+            return
+        why = local.reason or "there is no local navigator"
+        if now - task.gone_since > (self.settings.waiting if task.driven else _BEGIN):
+            raise PlanError(Fault.NO_NAVIGATOR, why)
+        self.status = Status(State.WAITING, why)
+
+    def _end(self, local: LocalNavigator, status: Status) -> None:
+        if status.state is not State.REACHED:
+            local.cancel()
+        self._task, self.status = None, status
+
+    def _ahead(self, pose: Pose) -> Places:
+        """(n, 2) the robot, and the waypoints that are left."""
+        task = self._task
+        left = task.waypoints[task.at :] if task else ()
+        return np.array([(pose.x, pose.y), *((each.pose.x, each.pose.y) for each in left)])
+
+    def _line(self, task: Task) -> Places:
+        """(n, 2) the waypoints that are left, and the robot where that is known."""
+        line = [(each.pose.x, each.pose.y) for each in task.waypoints[task.at :]]
+        if self._seen is not None:
+            line.insert(0, (self._seen.pose.x, self._seen.pose.y))
+        return np.array(line)
+
+
+def _to(task: Task) -> str:
+    assert task.leg is not None
+    return f"to become {task.leg.onto.map_name}" if task.leg.onto else "to stay"
+
+
+def _is_straight(ground: Ground, one: Pose, other: Pose) -> bool:
+    """Whether nothing lies between; one that stands where it should not is on its way out."""
+    here, there = ground.cell(one.x, one.y), ground.cell(other.x, other.y)
+    return here is None or there is None or not ground.open[here] or sees(ground.open, here, there)
+
+
+def _is_passed(pose: Pose, waypoint: Waypoint) -> bool:
+    return pose.distance(waypoint.pose) <= (waypoint.constraints.tolerance_lin or 0.1)
+
+
+def _is_there(pose: Pose, waypoint: Waypoint) -> bool:
+    """Whether the robot stands at a goal, heading as it should."""
+    near, turn = waypoint.constraints.tolerance_lin or 0.0, math.radians(waypoint.constraints.tolerance_ang or 0.0)
+    turned = not waypoint.constraints.heading or abs(wrapped(pose.theta - waypoint.pose.theta)) <= turn
+    return pose.distance(waypoint.pose) <= near and turned
+
+
+def _length(places: Places) -> float:
+    return float(np.hypot(*np.diff(places, axis=0).T).sum())
+
+
+def _cut(places: Places, metres: float) -> Places:
+    """The first metres of a line."""
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    whole = np.concatenate(([0.0], np.cumsum(steps)))
+    if whole[-1] <= metres:
+        return places
+    number = int(np.searchsorted(whole, metres))
+    share = (metres - whole[number - 1]) / steps[number - 1]
+    end = places[number - 1] + share * (places[number] - places[number - 1])
+    return np.concatenate((places[:number], [end]))

@@ -1,0 +1,211 @@
+"""A way to a place on one map, as waypoints with what holds on the way to each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.astar import Cells, Weights, astar
+from navigation.algorithms.shortcut import sees, shortcut
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_path_planner.escape import escape
+from navigation.robot_path_planner.fault import PlanError
+from navigation.robot_path_planner.ground import Cell, Ground
+from navigation.robot_path_planner.settings import Settings
+from navigation.status import Fault
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+
+Places = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """Where to drive next, and what holds until there."""
+
+    pose: Pose
+    constraints: Constraints
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A way that was found.
+
+    Attributes:
+        waypoints: from the first after the start to the goal.
+        length: metres.
+        note: what people should know of it, as that it begins where robots are kept out; often empty.
+    """
+
+    waypoints: tuple[Waypoint, ...]
+    length: float
+    note: str = ""
+
+
+def way(
+    ground: Ground,
+    start: Pose,
+    goal: Pose,
+    settings: Settings,
+    wanted: Constraints | None = None,
+    weights: Weights | None = None,
+) -> Way:
+    """A way over a map.
+
+    Args:
+        ground: the map.
+        start: where the robot is.
+        goal: where it is to go.
+        settings: what holds for waypoints and the goal.
+        wanted: what whoever sent the goal asks for instead.
+        weights: the map's with what the laser sees; by default the map's own.
+
+    Raises:
+        PlanError: there is none; `PlanError.passing` where the map alone would have one.
+    """
+    here, there = _ends(ground, start, goal)
+    cells = None
+    if weights is not None and weights[there]:
+        cells = _found(ground, weights, here, there)
+    if cells is None and weights is not None:
+        _checked(ground, start, goal, ground.weights)
+        raise PlanError(Fault.BLOCKED, "what the laser sees closes the way to the goal", passing=True)
+    if cells is None:
+        weights = ground.weights
+        cells = _checked(ground, start, goal, weights)
+    assert weights is not None
+    out, on = cells
+    places = np.concatenate((_places(ground, out), _joined(ground, weights, on, settings)))
+    note = ""
+    if len(out):
+        reason = ground.reason(here) or "beside what the laser sees"
+        note = f"the robot stands {reason}; it leaves by the shortest way"
+    places = np.concatenate(([(start.x, start.y)], places[1:-1], [(goal.x, goal.y)]))
+    made = _waypoints(ground, places, goal, settings, wanted or Constraints())
+    return Way(made, float(np.hypot(*np.diff(places, axis=0).T).sum()), note)
+
+
+def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
+    """Whether a line over places, (n, 2) metres, comes through closed cells; those that it begins in do not count."""
+    columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
+    fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
+    found = closed[rows[fits], columns[fits]]
+    free = np.flatnonzero(~found)
+    return bool(len(free)) and bool(found[free[0] :].any())
+
+
+def sampled(places: Places, step: float) -> Places:
+    """Places along a line, no further apart than a step."""
+    made = [places[:1]]
+    for one, other in pairwise(places):
+        count = max(math.ceil(math.dist(one, other) / step), 1)
+        made.append(one + (other - one) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(made)
+
+
+def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:
+    there = ground.cell(goal.x, goal.y)
+    if there is None:
+        raise PlanError(Fault.OFF_THE_MAP, f"the goal ({goal.x:.2f}, {goal.y:.2f}) is off the map {ground.name}")
+    here = ground.cell(start.x, start.y)
+    if here is None:
+        raise PlanError(Fault.OFF_THE_MAP, f"the robot at ({start.x:.2f}, {start.y:.2f}) is off the map {ground.name}")
+    return here, there
+
+
+def _checked(ground: Ground, start: Pose, goal: Pose, weights: Weights) -> tuple[Cells, Cells]:
+    """The way over the map alone; raises `PlanError` with why there is none."""
+    here, there = _ends(ground, start, goal)
+    if not ground.fits(there):
+        raise PlanError(
+            Fault.GOAL_OCCUPIED, f"the goal ({goal.x:.2f}, {goal.y:.2f}) lies {ground.reason(there)}; choose another"
+        )
+    cells = _found(ground, weights, here, there)
+    if cells is not None:
+        return cells
+    if escape(ground.weights, ground.solid, here) is None:
+        raise PlanError(
+            Fault.START_OCCUPIED,
+            f"the robot stands {ground.reason(here)}, and there is no way out; is its localisation right?",
+        )
+    raise PlanError(Fault.NO_PATH, f"no way leads from ({start.x:.2f}, {start.y:.2f}) to ({goal.x:.2f}, {goal.y:.2f})")
+
+
+def _found(ground: Ground, weights: Weights, here: Cell, there: Cell) -> tuple[Cells, Cells] | None:
+    """The cells on which the robot leaves where it should not be, and those of the way on; None where there is none."""
+    out = np.empty((0, 2), np.int32)
+    if not weights[here]:
+        left = escape(weights, ground.solid, here)
+        if left is None:
+            return None
+        out, here = left[:-1], (int(left[-1, 0]), int(left[-1, 1]))
+    found = astar(weights, here, there)
+    return None if found is None else (out, found.cells)
+
+
+def _places(ground: Ground, cells: Cells) -> Places:
+    """Where a way out begins; the rest of it is straight enough."""
+    return ground.places(cells[:1]) if len(cells) else np.empty((0, 2))
+
+
+def _joined(ground: Ground, weights: Weights, cells: Cells, settings: Settings) -> Places:
+    """The places of few waypoints."""
+    if settings.shortened:
+        cells = shortcut(weights, cells)
+    kept = [cells[0]]
+    least = settings.min_waypoint_distance / ground.grid.resolution
+    for cell, after in pairwise(cells[1:]):
+        near = math.dist(kept[-1], cell) < least
+        if not (near and sees(weights, (int(kept[-1][0]), int(kept[-1][1])), (int(after[0]), int(after[1])))):
+            kept.append(cell)
+    if len(cells) > 1:
+        kept.append(cells[-1])
+    return ground.places(np.array(kept, np.int32))
+
+
+def _waypoints(
+    ground: Ground, places: Places, goal: Pose, settings: Settings, wanted: Constraints
+) -> tuple[Waypoint, ...]:
+    """Waypoints at all turns, and where an area with a behaviour begins or ends."""
+    made: list[Waypoint] = []
+    last = len(places) - 2
+    for number, (one, other) in enumerate(pairwise(places)):
+        theta = math.atan2(other[1] - one[1], other[0] - one[0])
+        parts = _parts(ground, one, other)
+        for part, (end, behaviour) in enumerate(parts):
+            if number == last and part == len(parts) - 1:
+                made.append(Waypoint(goal, _merged(settings.goal, wanted, behaviour)))
+            else:
+                through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
+                constraints = _merged(settings.waypoint, through, behaviour)
+                made.append(Waypoint(Pose(float(end[0]), float(end[1]), theta), constraints))
+    return tuple(made)
+
+
+def _parts(ground: Ground, one: Places, other: Places) -> list[tuple[Places, AreaBehaviour]]:
+    """The ends of a line's parts in which one behaviour holds, and that; a border counts as the slower side's."""
+    along = sampled(np.stack((one, other)), ground.grid.resolution / 2)
+    columns, rows = ground.grid.cells_at(along).T
+    labels = ground.labels[
+        np.clip(rows, 0, ground.labels.shape[0] - 1), np.clip(columns, 0, ground.labels.shape[1] - 1)
+    ]
+    borders = [*np.flatnonzero(labels[1:] != labels[:-1]), len(along) - 1]
+    return [(along[end], ground.behaviours[labels[end]]) for end in borders]
+
+
+def _merged(ours: Constraints, wanted: Constraints, behaviour: AreaBehaviour) -> Constraints:
+    """What is set, what is wanted instead, and what an area does not let be exceeded."""
+    given = {
+        name: value
+        for name, value in vars(wanted).items()
+        if value not in (None, "") and name not in ("heading", "through", "map")
+    }
+    made = replace(ours, **given, heading=ours.heading and wanted.heading, through=ours.through)
+    speeds = [speed for speed in (made.max_lin_speed, behaviour.max_speed) if speed is not None]
+    most = min(speeds, default=None)
+    least = made.min_lin_speed if most is None or made.min_lin_speed is None else min(made.min_lin_speed, most)
+    return replace(made, max_lin_speed=most, min_lin_speed=least, on_obstacle=behaviour.on_obstacle or made.on_obstacle)

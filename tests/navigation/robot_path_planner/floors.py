@@ -1,0 +1,158 @@
+"""Maps and a local navigator for tests of the planner, all in one thread and one clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.robot_path_planner.itinerary import Atlas
+from navigation.robot_path_planner.planner import PathPlanner, Status
+from navigation.robot_path_planner.settings import Settings
+from navigation.status import State
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+RES = 0.05
+TICK = 0.1
+SPEED = 0.5
+SETTINGS = Settings(robot_radius=0.2, clearance=0.1)
+
+
+def floor(*boxes: tuple[float, float, float, float], name: str = "floor", size: float = 5.0) -> MapGrid2D:
+    """A square floor with walls about it, and boxes (left, bottom, right, top) of wall, metres."""
+    cells = round(size / RES)
+    flags = np.zeros((cells, cells), np.uint8)
+    flags[[0, -1]] = flags[:, [0, -1]] = MapFlag.WALL
+    grid = MapGrid2D.of(flags, name=name, resolution=RES)
+    for box in boxes:
+        paint(grid, box)
+    return grid
+
+
+def paint(grid: MapGrid2D, box: tuple[float, float, float, float], flag: MapFlag = MapFlag.WALL) -> None:
+    left, bottom, right, top = (round(edge / RES) for edge in box)
+    rows = slice(grid.m_height - top, grid.m_height - bottom)
+    grid.flags[rows, left:right] = flag
+    grid.occupancy[rows, left:right] = 100 if flag is MapFlag.WALL else 0
+
+
+ROOMS = ((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 3.6), (2.4, 4.4, 2.6, 5.0))
+"""A wall across the floor, with doors of 0.8 m at y 1 and y 4."""
+
+
+class Straight:
+    """Drives straight to where it is sent; a crate that it would drive into stops it."""
+
+    def __init__(self, pose: Pose) -> None:
+        self.pose = pose
+        self.state, self.reason = State.IDLE, ""
+        self.sent: list[tuple[Pose, Constraints]] = []
+        self.crates: list[tuple[float, float, float]] = []
+        self.patience = 5.0
+        self._waits = 0.0
+        self.cancelled = 0
+
+    def send(self, pose: Pose, constraints: Constraints) -> None:
+        self.sent.append((pose, constraints))
+        if self.state is not State.ERROR:
+            self.state, self.reason, self._waits = State.PREPARING, "", 0.0
+
+    def cancel(self) -> None:
+        self.cancelled += 1
+        if self.state is not State.ERROR:
+            self.state = State.IDLE
+
+    def tick(self) -> None:
+        if self.state not in (State.PREPARING, State.MOVING, State.WAITING):
+            return
+        goal, constraints = self.sent[-1]
+        away = self.pose.distance(goal)
+        if away <= 0.03:
+            self.state = State.REACHED
+            self.pose = Pose(goal.x, goal.y, goal.theta)
+            return
+        step = min(SPEED * TICK, constraints.max_lin_speed or 9.0, away)
+        x, y = (here + (there - here) * step / away for here, there in zip(self.pose[:2], goal[:2], strict=True))
+        if any(math.dist((x, y), crate[:2]) < crate[2] for crate in self.crates):
+            self._waits += TICK
+            self.state, self.reason = State.WAITING, "obstacles are detected"
+            if self._waits > self.patience:
+                self.state, self.reason = State.FAILING, "the obstacle did not go away"
+            return
+        self.state = State.MOVING
+        self.pose = Pose(x, y, math.atan2(goal.y - self.pose.y, goal.x - self.pose.x))
+
+
+class Drive:
+    """A planner, a local navigator, and time."""
+
+    def __init__(
+        self,
+        grid: MapGrid2D | None,
+        start: Pose,
+        settings: Settings = SETTINGS,
+        zones: Sequence[Zone] = (),
+        atlas: Atlas | None = None,
+    ) -> None:
+        self.settings, self.zones = settings, zones
+        self.planner = PathPlanner(settings, atlas)
+        if grid is not None:
+            self.use(grid)
+        self.local = Straight(start)
+        self.now = 0.0
+        self.track: list[Pose] = []
+        self.told: list[Status] = []
+        self.lost = ""
+        self.laser = False
+
+    def use(self, grid: MapGrid2D) -> None:
+        self.planner.use_map(Ground(grid, self.settings.robot_radius, self.settings.clearance, self.zones))
+
+    def tick(self) -> Status:
+        self.now += TICK
+        self.local.tick()
+        if self.laser:
+            self.look()
+        status = self.planner.step(self.now, None if self.lost else self.local.pose, self.local, self.lost)
+        self.track.append(self.local.pose)
+        if not self.told or status != self.told[-1]:
+            self.told.append(status)
+        return status
+
+    def look(self) -> None:
+        """A laser at the robot's middle that sees crates (and no walls) up to 8 m."""
+        pose, beams = self.local.pose, 720
+        angles = np.arange(beams) * math.tau / beams
+        ranges = np.full(beams, np.inf)
+        for x, y, radius in self.local.crates:
+            dx, dy = x - pose.x, y - pose.y
+            along = np.cos(angles) * dx + np.sin(angles) * dy
+            beside = dx * dx + dy * dy - along * along
+            hit = (along > 0) & (beside < radius * radius)
+            ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(radius * radius - beside[hit]))
+        self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), ranges, 0.0, math.tau / beams)
+
+    def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> Status:
+        """Drive to a goal until it has ended."""
+        self.planner.goal(goal, map_name, now=self.now)
+        return self.run(seconds)
+
+    def run(self, seconds: float) -> Status:
+        end = self.now + seconds
+        status = self.tick()
+        while self.planner.active and self.now < end:
+            status = self.tick()
+        return status
+
+    def until(self, state: State, seconds: float = 60.0) -> Status:
+        end = self.now + seconds
+        while self.now < end:
+            status = self.tick()
+            if status.state is state:
+                return status
+        raise AssertionError(f"not {state}: {self.told}")

@@ -1,0 +1,257 @@
+"""The planner drives a robot that moves straight, in lock-step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from navigation.pose import Pose
+from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.status import Fault, State
+from tests.navigation.robot_path_planner.floors import ROOMS, Drive, floor, paint
+from tests.navigation.robot_path_planner.test_way import LIFT, Two, area
+from yarp_compat.dev.area_behaviour import AreaBehaviour
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+WEST, EAST = Pose(1.0, 1.0, 0.0), Pose(4.0, 1.0, 1.0)
+LOW_DOOR = (2.5, 1.0, 0.5)
+
+
+def room(drive: Drive, grid: MapGrid2D) -> float:
+    """The least that the robot had about it on its way, metres."""
+    ground = Ground(grid, 0.2, zones=drive.zones)
+    columns, rows = grid.cells_at([pose[:2] for pose in drive.track]).T
+    return float(ground.room[rows, columns].min())
+
+
+def test_it_drives_to_the_goal_with_its_heading_and_room_all_the_way() -> None:
+    grid = floor(*ROOMS)
+    drive = Drive(grid, Pose(1.0, 2.5, 0.0))
+    status = drive.goto(EAST)
+    assert status == (State.REACHED, "the goal is reached", Fault.NONE)
+    assert drive.local.pose[:3] == EAST[:3]
+    assert room(drive, grid) > 0.17
+    assert {told.state for told in drive.told} == {State.MOVING, State.PREPARING, State.REACHED}
+
+
+def test_a_goal_where_it_stands_is_reached_at_once() -> None:
+    drive = Drive(floor(), WEST)
+    assert drive.goto(Pose(1.02, 1.0, 0.0)).state is State.REACHED
+    assert not drive.local.sent
+    assert drive.goto(Pose(1.02, 1.0, 1.0)).state is State.REACHED
+    assert drive.local.sent[-1][1].heading
+
+
+def test_distance_remaining_falls_to_nothing() -> None:
+    drive = Drive(floor(*ROOMS), Pose(1.0, 2.5, 0.0))
+    drive.planner.goal(EAST)
+    drive.tick()
+    left = [drive.planner.remaining(drive.local.pose)]
+    while drive.planner.active:
+        drive.tick()
+        left.append(drive.planner.remaining(drive.local.pose))
+    assert left[0] > 3.5
+    assert left == sorted(left, reverse=True)
+    assert left[-1] == 0.0
+
+
+def test_a_new_goal_takes_the_place_of_the_old_one_without_a_stop() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    assert drive.goto(Pose(1.0, 4.0, 0.0)).state is State.REACHED
+    assert not drive.local.cancelled
+
+
+def test_cancelling_and_pausing_stop_it() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.planner.pause(drive.now, 3.0)
+    assert drive.tick().state is State.PAUSED
+    here = drive.local.pose
+    drive.run(1.5)
+    assert drive.local.pose == here
+    drive.until(State.MOVING, 2.0)
+    drive.planner.pause(drive.now)
+    drive.run(5.0)
+    assert drive.planner.status.state is State.PAUSED
+    drive.planner.resume()
+    drive.until(State.MOVING, 1.0)
+    drive.planner.cancel()
+    assert drive.tick().state is State.IDLE
+    assert drive.local.state is State.IDLE
+
+
+def test_a_door_that_is_closed_on_the_way_is_gone_round() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.laser = True
+    drive.local.crates = [LOW_DOOR]
+    assert drive.goto(EAST).state is State.REACHED
+    assert max(pose.y for pose in drive.track) > 3.5
+    assert drive.planner.recoveries == 0  # no goal any more
+    assert drive.now < 40
+
+
+def test_a_door_that_opens_again_is_driven_through() -> None:
+    drive = Drive(floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 5.0)), WEST)
+    drive.laser = True
+    drive.local.crates = [LOW_DOOR]
+    drive.planner.goal(EAST)
+    status = drive.until(State.WAITING, 30.0)
+    drive.run(8.0)
+    status = drive.planner.status
+    assert status.state is State.WAITING
+    assert "laser" in status.reason
+    drive.local.crates = []
+    assert drive.run(60.0).state is State.REACHED
+
+
+def test_a_door_that_stays_closed_ends_in_a_clear_status() -> None:
+    drive = Drive(floor((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 5.0)), WEST)
+    drive.laser = True
+    drive.local.crates = [LOW_DOOR]
+    status = drive.goto(EAST, 200.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.BLOCKED)
+    assert drive.local.state is State.IDLE
+
+
+def test_without_a_laser_it_tries_five_times_and_says_what_its_navigator_said() -> None:
+    drive = Drive(floor(), WEST)
+    drive.local.crates = [(2.5, 1.0, 0.4)]
+    drive.local.patience = 0.5
+    status = drive.goto(EAST, 200.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.BLOCKED)
+    assert status.reason == "the obstacle did not go away; given up after 5 further attempts"
+
+
+def test_an_area_in_which_to_wait_is_not_gone_round() -> None:
+    zone = Zone(area(1.5, 0.0, 3.5, 5.0), AreaBehaviour(on_obstacle="wait"))
+    drive = Drive(floor(*ROOMS), WEST, zones=[zone])
+    drive.laser = True
+    drive.local.crates = [LOW_DOOR]
+    drive.local.patience = 30.0
+    drive.goto(EAST, 20.0)
+    assert drive.planner.status.state is State.WAITING
+    assert max(pose.y for pose in drive.track) < 1.5
+    drive.local.crates = []
+    assert drive.run(30.0).state is State.REACHED
+
+
+def test_a_jump_of_localisation_gives_a_new_way() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, seconds=2.0)
+    sent = len(drive.local.sent)
+    drive.local.pose = Pose(1.0, 4.0, 0.0)
+    drive.tick()
+    assert len(drive.local.sent) == sent + 1
+    assert drive.run(60.0).state is State.REACHED
+    assert room(drive, floor(*ROOMS)) > 0.17
+
+
+def test_lost_localisation_stops_it_until_it_is_back() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.lost = "tf is stale"
+    drive.run(1.0)
+    assert drive.planner.status.state is State.WAITING
+    assert "tf is stale" in drive.planner.status.reason
+    assert drive.local.state is State.IDLE
+    drive.lost = ""
+    assert drive.run(30.0).state is State.REACHED
+    drive.lost = "tf is stale"
+    status = drive.goto(WEST)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.NOT_LOCALIZED)
+
+
+def test_no_map_says_so() -> None:
+    status = Drive(None, WEST).goto(EAST)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.NO_MAP)
+
+
+def test_a_navigator_that_goes_away_is_waited_for() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.local.state, drive.local.reason = State.ERROR, "nobody serves it"
+    drive.run(3.0)
+    assert drive.planner.status[:2] == (State.WAITING, "nobody serves it")
+    drive.local.state = State.IDLE
+    assert drive.run(30.0).state is State.REACHED
+    drive.local.state = State.ERROR
+    status = drive.goto(WEST)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.NO_NAVIGATOR)
+
+
+def test_a_navigator_that_somebody_stops_ends_the_goal() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.local.state, drive.local.reason = State.IDLE, "cancelled"
+    status = drive.tick()
+    assert (status.state, status.fault) == (State.ABORTED, Fault.OTHER)
+    assert "cancelled" in status.reason
+
+
+def test_a_map_swapped_on_the_way_gives_a_new_way_or_a_clear_status() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    sent = len(drive.local.sent)
+    drive.use(floor((0.5, 3.0, 1.0, 3.5)))
+    drive.tick()
+    assert len(drive.local.sent) == sent, "the way is still free"
+    swapped = floor(*ROOMS[1:], (2.4, 0.0, 2.6, 1.4))
+    drive.use(swapped)
+    drive.tick()
+    assert len(drive.local.sent) == sent + 1
+    drive.track.clear()
+    assert drive.run(60.0).state is State.REACHED
+    assert room(drive, swapped) > 0.17
+    drive.goto(WEST, seconds=1.0)
+    drive.use(floor(name="other"))
+    status = drive.tick()
+    assert (status.state, status.fault) == (State.ABORTED, Fault.MAP_CHANGED)
+    assert "other" in status.reason
+    assert drive.local.state is State.IDLE
+
+
+def test_a_goal_on_another_map_is_driven_to_over_a_link() -> None:
+    atlas = Two(LIFT)
+    drive = Drive(None, WEST, atlas=atlas)
+    drive.planner.use_map(atlas.maps["floor"])
+    goal = Pose(1.0, 4.0, 0.5)
+    drive.planner.goal(goal, "up", now=drive.now)
+    status = drive.until(State.WAITING)
+    assert "waits to be on the map up" in status.reason
+    assert drive.local.pose.distance(LIFT.first.pose) < 0.05
+    drive.run(20.0)
+    drive.planner.use_map(atlas.maps["up"])
+    drive.local.pose = Pose(0.5, 0.5, 0.0)  # not localised on the new map yet
+    assert "localised near lift 1" in drive.tick().reason
+    drive.local.pose = Pose(4.1, 4.0, 3.0)
+    assert drive.run(60.0).state is State.REACHED
+    assert drive.local.pose[:3] == goal[:3]
+
+
+def test_a_map_that_never_changes_ends_in_a_clear_status() -> None:
+    atlas = Two(LIFT)
+    drive = Drive(None, Pose(4.0, 3.0, 0.0), atlas=atlas)
+    drive.planner.use_map(atlas.maps["floor"])
+    drive.planner.goal(Pose(1.0, 4.0, 0.0), "up")
+    status = drive.run(400.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.MAP_CHANGED)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_goals_are_reached_and_keep_out_is_never_entered(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    grid = floor(*ROOMS)
+    paint(grid, (0.8, 1.8, 1.6, 2.4), MapFlag.KEEP_OUT)
+    zone = Zone(area(3.0, 2.0, 4.2, 2.6), AreaBehaviour(keep_out=True))
+    drive = Drive(grid, WEST, zones=[zone])
+    ground = Ground(grid, 0.2, zones=[zone])
+    free = np.argwhere(ground.weights)
+    for row, column in free[random.integers(len(free), size=6)]:
+        x, y = grid.centers_of((column, row))
+        status = drive.goto(Pose(float(x), float(y), random.uniform(-math.pi, math.pi)))
+        assert status.state is State.REACHED, status
+    assert room(drive, grid) > 0.17
