@@ -185,6 +185,8 @@ class Choice(Field):
     def read(self, source: Reader) -> Enum:
         """Take a vocab or a word, or a number."""
         value = source.word() if self._words else source.integer()
+        if value == "":  # the vocab 0, which C++ has where nothing was set: beside an outcome that is not ok
+            return self.default()
         try:
             return self._kind(value)
         except ValueError:

@@ -15,13 +15,14 @@ from yarp_compat.dev.call import Call
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.service import INTRODUCTION, Service, write_version
 from yarp_compat.ports.events import ConnectionEvent
-from yarp_compat.wire.binary import encode
+from yarp_compat.wire.binary import decode, encode
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generation, Generations
 from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import VOCAB32
+from yarp_compat.wire.values import Vocab
 from yarp_compat.wire.writer import Writer
 
 log = logging.getLogger(__name__)
@@ -95,9 +96,16 @@ class Server:
         try:
             words, call, arguments, found = self._taken(payload, likely)
         except WireError as error:
+            said = self._commanded(payload, profile, likely)
+            if said is not None:
+                return said
             self.refused += 1
             self._log("a request of %s is refused: %s", peer or "?", error)
             return _fail()
+        if words == HELP and not arguments:
+            said = self._commanded(payload, profile, likely)
+            if said is not None:
+                return said
         if call is None:
             return self._special(words, arguments, peer, profile, text=text)
         if not text and found is not generation.profile:
@@ -106,6 +114,19 @@ class Server:
         if text:
             generation = Generation.YARP_3_6
         return self._called(call, arguments, generation, found if text else generation.profile, peer)
+
+    def _commanded(self, payload: Buffer, profile: Profile | None, likely: Profile) -> bytes | None:
+        """The answer to a request in words; None where it means nothing to the service."""
+        try:
+            said = self._service.command(decode(payload, profile))
+            return None if said is None else encode(said, likely)
+        except WireError:
+            return None
+        except (ValueError, CallFailed) as error:
+            return encode([Vocab("fail"), str(error)], likely)
+        except Exception:
+            self._log("a command", exc_info=True)
+            return _fail()
 
     def _taken(self, payload: Buffer, likely: Profile) -> tuple[str, Call | None, list[Any], Profile]:
         """A request's name, call, arguments and dialect: the one in which all its bytes mean something.

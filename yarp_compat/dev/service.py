@@ -11,7 +11,7 @@ with it. A client is the interface itself, made with a channel to a server: its 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any, ClassVar, Protocol, TypeVar
 
@@ -82,6 +82,20 @@ class Service:
         if version is not None:
             channel.generation = Generation.YARP_3_12 if version[1] == 3 else Generation.YARP_4
         return version
+
+    def command(self, words: list[Any]) -> Sequence[Any] | None:  # noqa: ARG002 - most know none
+        """Answer a request that is none of the methods: commands in words, as modules had them before their services.
+
+        Args:
+            words: the request as a Bottle's values.
+
+        Returns:
+            the answer's values; None where it is no command either.
+
+        Raises:
+            ValueError: the command is known and something is wrong with it; says what.
+        """
+        return None
 
     def _reached(self, name: str) -> Channel:
         if self._channel is None:

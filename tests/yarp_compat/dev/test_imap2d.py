@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import struct
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.yarp_compat.dev.keptmaps import KeptMaps
+from tests.yarp_compat.dev.written import Bytes, Says, listed, text
 from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
 from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
@@ -37,81 +37,6 @@ def small_map() -> MapGrid2D:
     made = MapGrid2D.of(np.arange(6).reshape(2, 3), name="m1", resolution=0.5, origin=(1, 2, 0))
     made.enable_map_compression_over_network(False)
     return made
-
-
-# -- bytes, written down without the code under test ------------------------------------------------------------------
-
-
-def text(value: str) -> bytes:
-    return struct.pack("<ii", 4, len(value)) + value.encode()
-
-
-def vocab(value: str) -> bytes:
-    return struct.pack("<i4s", 9, value.encode())
-
-
-def listed(*elements: bytes) -> bytes:
-    return struct.pack("<ii", 256, len(elements)) + b"".join(elements)
-
-
-class Bytes:
-    """Values as one generation writes them."""
-
-    def __init__(self, generation: Generation) -> None:
-        self.generation = generation
-        self.f64 = 20 if generation is Generation.YARP_4 else 10
-
-    def number(self, value: float) -> bytes:
-        return struct.pack("<id", self.f64, value)
-
-    def of(self, value: Any) -> bytes:
-        match value:
-            case bool():
-                return vocab("ok" if value else "fail")
-            case str():
-                return text(value)
-            case list() if value and isinstance(value[0], str):
-                return struct.pack("<ii", 260, len(value)) + b"".join(text(each)[4:] for each in value)
-            case list():
-                return listed(*map(self.of, value))
-            case ReturnValue():
-                return self.outcome(value.code)
-            case Map2DLocation():
-                return listed(text(value.map_id), *map(self.number, (value.x, value.y, value.theta)),
-                              text(value.description))  # fmt: skip
-            case Map2DObject():
-                pose = (value.x, value.y, value.z, value.roll, value.pitch, value.yaw)
-                return listed(text(value.map_id), *map(self.number, pose), text(value.description))
-            case Map2DArea():
-                corners = [struct.pack("<iidd", 256 + self.f64, 2, point.x, point.y) for point in value.points]
-                return listed(text(value.map_id), listed(*corners), text(value.description))
-            case Map2DPath():
-                return listed(listed(*map(self.of, value.waypoints)), text(value.description))
-            case MapGrid2D():
-                blobs = [struct.pack("<ii", 12, 6) + cells.tobytes() for cells in (value.occupancy, value.flags)]
-                size = [struct.pack("<ii", 1, number) for number in (value.width(), value.height())]
-                place = map(self.number, (*value.getOrigin(), value.resolution))
-                return listed(*size, *place, text(value.name), struct.pack("<ib", 32, 0), *blobs)
-        raise TypeError(value)
-
-    def outcome(self, code: ReturnCode) -> bytes:
-        if self.generation is Generation.YARP_4:
-            return listed(vocab({ReturnCode.OK: "ok", ReturnCode.METHOD_FAILED: "err5"}[code]))
-        number = {ReturnCode.OK: 0, ReturnCode.METHOD_FAILED: 5}[code]
-        if self.generation is Generation.YARP_3_12:
-            return struct.pack("<ii", 1, number)
-        if self.generation is Generation.YARP_3_11:
-            return struct.pack("<q", number)
-        return vocab("ok" if code is ReturnCode.OK else "fail")
-
-    def request(self, name: str, *arguments: Any) -> bytes:
-        words = [vocab(word) if len(word) <= 4 else text(word) for word in name.split("_")]
-        return listed(*words, *map(self.of, arguments))
-
-    def reply(self, outcome: ReturnValue, *results: Any) -> bytes:
-        if results or self.generation is Generation.YARP_3_6:
-            return listed(self.of(outcome), *map(self.of, results))
-        return self.of(outcome)
 
 
 def every_call() -> Iterator[tuple[str, tuple[Any, ...], tuple[Any, ...]]]:
@@ -143,23 +68,6 @@ def every_call() -> Iterator[tuple[str, tuple[Any, ...], tuple[Any, ...]]]:
 CALLS = {f"{name}_RPC": (arguments, results) for name, arguments, results in every_call()}
 
 
-class Says(IMap2DMsgs):
-    """Answers one call, and keeps what it was asked."""
-
-    def __init__(self, returned: Any) -> None:
-        super().__init__()
-        self.returned, self.asked = returned, ()
-
-    def __getattribute__(self, name: str) -> Any:
-        return self.said if name.endswith("_RPC") else super().__getattribute__(name)
-
-    def said(self, *arguments: Any) -> Any:
-        self.asked = arguments
-        if isinstance(self.returned, Exception):
-            raise self.returned
-        return self.returned
-
-
 def test_all_calls_are_here() -> None:
     assert set(CALLS) == set(IMap2DMsgs.calls())
     assert len(CALLS) == 44
@@ -172,7 +80,7 @@ def test_the_bytes_of_a_call(name: str, generation: Generation) -> None:
     call, rules = IMap2DMsgs.calls()[name], Bytes(generation)
     request = rules.request(name, *arguments)
     assert call.request(arguments, generation.profile) == request
-    server = Says((OK, *results) if results else OK)
+    server = Says.of(IMap2DMsgs, (OK, *results) if results else OK)
     reply = Server(server, Generations(generation)).answer(request, "/peer", generation.profile)
     assert list(server.asked) == list(arguments)
     assert reply == rules.reply(OK, *results)
@@ -185,7 +93,9 @@ def test_the_bytes_of_a_call(name: str, generation: Generation) -> None:
 def test_a_call_that_fails_has_defaults_beside_its_outcome(name: str, generation: Generation) -> None:
     arguments, results = CALLS[name]
     rules, failed = Bytes(generation), ReturnValue(ReturnCode.METHOD_FAILED)
-    reply = Server(Says(CallFailed()), Generations(generation)).answer(rules.request(name, *arguments), "/peer")
+    reply = Server(Says.of(IMap2DMsgs, CallFailed()), Generations(generation)).answer(
+        rules.request(name, *arguments), "/peer"
+    )
     found = IMap2DMsgs.calls()[name].read_reply(reply, generation).results
     assert found == [failed, *([type(result)() for result in results])]
     assert reply.startswith(rules.reply(failed, *results)[: 8 if results else None])

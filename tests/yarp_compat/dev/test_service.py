@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.yarp_compat.dev.interfaces import LocalizationStatus
 from yarp_compat.dev.fields import FLOAT32, INT8, INT16, INT64, UINT8, Choice, field_of
+from yarp_compat.dev.ilocalization2d import LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
@@ -48,7 +48,7 @@ class Places(Service):
     @rpc
     def enable_RPC(self, on: bool) -> tuple[ReturnValue, bool]: ...
     @rpc
-    def get_status_RPC(self) -> tuple[ReturnValue, LocalizationStatus]: ...
+    def get_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]: ...
     @rpc
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Annotated[Status, Choice(Status, vocab=True)]]: ...
     @rpc
@@ -85,8 +85,8 @@ class Kept(Places):
         self.on = on
         return OK, not on
 
-    def get_status_RPC(self) -> tuple[ReturnValue, LocalizationStatus]:
-        return OK, LocalizationStatus.OK
+    def get_status_RPC(self) -> tuple[ReturnValue, LocalizationStatusEnum]:
+        return OK, LocalizationStatusEnum.localization_status_localized_ok
 
     def getDeviceStatus_RPC(self) -> tuple[ReturnValue, Status]:
         return OK, Status.IN_USE
@@ -146,7 +146,7 @@ def test_clients_of_any_expectation_understand_servers_of_any_generation(
     assert places.get_location_RPC("kitchen") == (OK, KITCHEN)
     assert places.get_names_RPC() == (OK, ["kitchen"])
     assert places.enable_RPC(True) == (OK, False)
-    assert places.get_status_RPC() == (OK, LocalizationStatus.OK)
+    assert places.get_status_RPC() == (OK, LocalizationStatusEnum.localization_status_localized_ok)
     assert places.getDeviceStatus_RPC() == (OK, Status.IN_USE)
     assert places.count(2, 3.0) == 5
     assert places.find("kitchen") == KITCHEN
@@ -291,7 +291,10 @@ def test_what_an_implementation_raises_is_an_outcome(caplog: pytest.LogCaptureFi
     for name in ("any", "odd", "many"):
         assert places.get_location_RPC(name) == (ReturnValue(ReturnCode.GENERIC), Map2DLocation())
     assert "broken inside" in caplog.text
-    assert places.get_status_RPC() == (ReturnValue(ReturnCode.NOT_IMPLEMENTED), LocalizationStatus.NOT_YET)
+    assert places.get_status_RPC() == (
+        ReturnValue(ReturnCode.NOT_IMPLEMENTED),
+        LocalizationStatusEnum.localization_status_not_yet_localized,
+    )
     with pytest.raises(WireError):
         places.find("kitchen")
     with pytest.raises(WireError, match="takes 1 arguments"):

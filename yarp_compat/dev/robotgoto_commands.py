@@ -1,0 +1,146 @@
+"""The commands of robotGoto's own port: its service (`robotGotoMsgs.thrift`, 2026), and the words that it took before.
+
+``reset_params``, ``approach DIRECTION SPEED TIME``, ``set linear_tol 0.05``, ``get navigation_status``
+(`robotGotoDev.cpp`); robotPathPlanner sends the words to robotGoto, also where that is the newer one, which does not
+know them.
+"""
+
+# mypy: disable-error-code="empty-body"
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
+from yarp_compat.dev.service import Service, rpc
+from yarp_compat.wire.values import Vocab
+
+_NUMBERS = {
+    "linear_tol": ("SetLinearTolerance", "m"),
+    "angular_tol": ("SetAngularTolerance", "deg"),
+    "max_lin_speed": ("SetMaxLinearSpeed", "m/s"),
+    "max_ang_speed": ("SetMaxAngularSpeed", "deg/s"),
+    "min_lin_speed": ("SetMinLinearSpeed", "m/s"),
+    "min_ang_speed": ("SetMinAngularSpeed", "deg/s"),
+    "lin_speed_gain": ("SetLinearSpeedGain", "gain"),
+    "ang_speed_gain": ("SetAngularSpeedGain", "gain"),
+}
+_SWITCHES = {
+    "obstacle_stop": ("SetObstacoleStop", "enable_obstacle_stop"),
+    "obstacle_avoidance": ("SetObstacoleAvoidance", "enable_obstacles_avoidance"),
+}
+
+
+class RobotGotoMsgs(Service):
+    """What robotGoto's port answers, in either form; the words call the same methods."""
+
+    @rpc
+    def ResetParams(self) -> ReturnValue:
+        """Take the parameters of the start again."""
+
+    @rpc
+    def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
+        """Drive in a direction, degrees, at a speed, m/s, for so many seconds."""
+
+    @rpc
+    def SetLinearTolerance(self, tol: float) -> ReturnValue:
+        """How near is there, metres."""
+
+    @rpc
+    def SetAngularTolerance(self, tol: float) -> ReturnValue:
+        """How near to a heading is there, degrees."""
+
+    @rpc
+    def SetMaxLinearSpeed(self, maxLin: float) -> ReturnValue:
+        """The highest speed, m/s."""
+
+    @rpc
+    def SetMaxAngularSpeed(self, maxAng: float) -> ReturnValue:
+        """The fastest turning, deg/s."""
+
+    @rpc
+    def SetMinLinearSpeed(self, minLin: float) -> ReturnValue:
+        """The lowest speed, m/s."""
+
+    @rpc
+    def SetMinAngularSpeed(self, minAng: float) -> ReturnValue:
+        """The slowest turning, deg/s."""
+
+    @rpc
+    def SetLinearSpeedGain(self, LinGain: float) -> ReturnValue:
+        """Speed for each metre of distance."""
+
+    @rpc
+    def SetAngularSpeedGain(self, AngGain: float) -> ReturnValue:
+        """Turning for each degree of error."""
+
+    @rpc
+    def SetObstacoleAvoidance(self, enable: bool) -> ReturnValue:
+        """Go round obstacles, or not."""
+
+    @rpc
+    def SetObstacoleStop(self, enable: bool) -> ReturnValue:
+        """Stop before obstacles, or not."""
+
+    @rpc
+    def GetNavigationStatus(self) -> tuple[ReturnValue, str]:
+        """How it is getting on: ``navigation_status_moving``."""
+
+    def command(self, words: list[Any]) -> Sequence[Any] | None:
+        """Answer in words."""
+        verb, *rest = [str(word) if isinstance(word, str) else word for word in words] or [""]
+        if verb == "help":
+            return [Vocab("many"), *self._help()]
+        if verb == "reset_params":
+            _check(self.ResetParams())
+            return ["params reset done"]
+        if verb == "approach":
+            direction, speed, seconds = _numbers(rest, 3, "approach DIRECTION SPEED TIME")
+            _check(self.Approach(direction, speed, seconds))
+            return ["approach command received"]
+        if verb == "set":
+            return [self._set(rest)]
+        if verb == "get":
+            return [self._status() if rest == ["navigation_status"] else "Unknown get."]
+        return None
+
+    def _set(self, words: list[Any]) -> str:
+        name = words[0] if words and isinstance(words[0], str) else ""
+        if name in _NUMBERS:
+            (value,) = _numbers(words[1:], 1, f"set {name} NUMBER")
+            _check(getattr(self, _NUMBERS[name][0])(value))
+            return f"{name} set."
+        if name in _SWITCHES:
+            method, said = _SWITCHES[name]
+            (value,) = _numbers(words[1:], 1, f"set {name} 0|1")
+            _check(getattr(self, method)(value != 0))
+            return f"{said}={'true' if value else 'false'}"
+        return "Unknown set."
+
+    def _status(self) -> str:
+        outcome, status = self.GetNavigationStatus()
+        _check(outcome)
+        return status
+
+    def _help(self) -> list[str]:
+        return [
+            "Available commands are:",
+            "approach <angle in degrees> <linear velocity> <time>",
+            "reset_params",
+            *(f"set {name} <{unit}>" for name, (_, unit) in _NUMBERS.items()),
+            *(f"set {name} <0/1>" for name in _SWITCHES),
+            "get navigation_status",
+            *type(self).calls(),
+        ]
+
+
+def _numbers(words: list[Any], count: int, usage: str) -> list[float]:
+    if len(words) != count or not all(isinstance(word, int | float) and not isinstance(word, bool) for word in words):
+        raise ValueError(f"it is: {usage}")
+    return [float(word) for word in words]
+
+
+def _check(outcome: ReturnValue) -> None:
+    if not outcome:
+        raise CallFailed(outcome.code)
