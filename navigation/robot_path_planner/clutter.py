@@ -83,7 +83,8 @@ class Clutter:
         cells = self.cells
         if len(cells):
             rows, columns = (np.add.outer(cells[:, axis], self._disc[:, axis]).ravel() for axis in (0, 1))
-            fits = (rows >= 0) & (rows < found.shape[0]) & (columns >= 0) & (columns < found.shape[1])
+            high, wide = self._ground.weights.shape
+            fits = (rows >= 0) & (rows < high) & (columns >= 0) & (columns < wide)
             found[rows[fits], columns[fits]] = True
         return found
 

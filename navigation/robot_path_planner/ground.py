@@ -24,8 +24,9 @@ Cell = tuple[int, int]
 OCCUPIED = 50
 """From here on an occupancy is a wall, as YARP takes it where it has no flags."""
 
-_NEAR_WALL = 4
-"""What a cell right beside where the robot does not fit costs more than any other; it falls off with `clearance`."""
+_NEAR_WALL = 16
+"""What a cell right beside where the robot does not fit costs more than any other; it falls off within `clearance`, by
+the square, so that a local navigator has some room wherever there is any."""
 _ENLARGED = 4
 """The same of cells that the map itself calls the room about an obstacle."""
 _UNSURE = 25
@@ -121,7 +122,7 @@ class Ground:
         cost[self.grid.flags == MapFlag.ENLARGED_OBSTACLE] += _ENLARGED
         if clearance > 0:
             near = np.clip(1.0 - (self.room - self.radius) / clearance, 0.0, 1.0)
-            cost += np.ceil(_NEAR_WALL * near)
+            cost += np.ceil(_NEAR_WALL * near**2)
         cost[self.room < self.radius - 1e-6] = 0.0
         return np.minimum(cost, _MOST).astype(np.uint8)
 

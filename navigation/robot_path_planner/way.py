@@ -59,7 +59,7 @@ def way(
     Args:
         ground: the map.
         start: where the robot is.
-        goal: where it is to go.
+        goal: where it is to go; theta is NaN where any heading will do.
         settings: what holds for waypoints and the goal.
         wanted: what whoever sent the goal asks for instead.
         weights: the map's with what the laser sees; by default the map's own.
@@ -178,7 +178,11 @@ def _waypoints(
         parts = _parts(ground, one, other)
         for part, (end, behaviour) in enumerate(parts):
             if number == last and part == len(parts) - 1:
-                made.append(Waypoint(goal, _merged(settings.goal, wanted, behaviour)))
+                constraints = _merged(settings.goal, wanted, behaviour)
+                if math.isfinite(goal.theta):
+                    made.append(Waypoint(goal, constraints))
+                else:
+                    made.append(Waypoint(goal._replace(theta=theta), replace(constraints, heading=False)))
             else:
                 through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
                 constraints = _merged(settings.waypoint, through, behaviour)

@@ -34,7 +34,7 @@ def test_it_drives_to_the_goal_with_its_heading_and_room_all_the_way() -> None:
     assert status == (State.REACHED, "the goal is reached", Fault.NONE)
     assert drive.local.pose[:3] == EAST[:3]
     assert room(drive, grid) > 0.17
-    assert {told.state for told in drive.told} == {State.MOVING, State.PREPARING, State.REACHED}
+    assert {told.state for told in drive.told} == {State.MOVING, State.REACHED}
 
 
 def test_a_goal_where_it_stands_is_reached_at_once() -> None:

@@ -143,6 +143,8 @@ def test_what_the_sender_asks_for_holds_and_areas_are_stronger() -> None:
     assert (first.constraints.max_lin_speed, first.constraints.tolerance_lin) == (0.4, 0.1)
     assert (last.constraints.max_lin_speed, last.constraints.tolerance_lin) == (0.3, 0.5)
     assert not last.constraints.heading
+    (last,) = way(Ground(floor(), 0.2), WEST, EAST._replace(theta=math.nan), SETTINGS).waypoints
+    assert (last.pose.theta, last.constraints.heading) == (0.0, False)
 
 
 def test_waypoints_keep_their_least_distance_where_the_line_is_free() -> None:
