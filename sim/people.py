@@ -10,8 +10,14 @@ from sim.pieces import Piece, of_person
 from sim.plan import Person, Point
 
 
+_PATIENCE = 5.0
+"""Seconds that somebody waits for a robot in the way, and then turns to the next point of the path."""
+
+
 class Walker:
     """A person on the way. They are neither pushed nor do they push: they wait where somebody is in the way.
+
+    Who has waited for long turns to the next point of the path: two who wait for one another would do so for ever.
 
     Attributes:
         person: who, as the plan has them.
@@ -24,6 +30,7 @@ class Walker:
         self.x, self.y = person.at
         self._way: deque[Point] = deque(person.path)
         self._loop = person.loop
+        self._waited = 0.0
 
     def send(self, path: Iterable[Point], *, loop: bool = False) -> None:
         """Have the person walk to these points, one after the other."""
@@ -51,7 +58,17 @@ class Walker:
                 break
         before = math.hypot(self.x - robot[0], self.y - robot[1])
         after = math.hypot(x - robot[0], y - robot[1])
-        if (x, y) == (self.x, self.y) or (after < before and after < room + self.person.radius):
+        if after < before and after < room + self.person.radius:
+            self._wait(seconds)
+            return False
+        self._waited = 0.0
+        if (x, y) == (self.x, self.y):
             return False
         self.x, self.y = x, y
         return True
+
+    def _wait(self, seconds: float) -> None:
+        self._waited += seconds
+        if self._waited > _PATIENCE and len(self._way) > 1:
+            self._waited = 0.0
+            self._way.rotate(-1)

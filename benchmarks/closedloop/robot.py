@@ -1,0 +1,119 @@
+"""A robot in the simulator with BaseControl's core between its commands and its wheels, tick by tick."""
+
+from __future__ import annotations
+
+import math
+
+from bridge.config.sections.base_control import BaseControlSection
+from bridge.config.sections.sim import EncodersSection, LaserSection, SimSection
+from navigation.base_control.base import Base
+from navigation.base_control.settings import settings
+from navigation.base_control.velocity import Velocity
+from navigation.pose import Pose
+from sim import robot as robots
+from sim.laser import Scan
+from sim.plan import Plan
+from sim.robot import Robot as Described
+from sim.simulation import TICK_NS, Simulation
+
+LASER = LaserSection(beams=720, rate=10.0, noise=0.005)
+SCALES = (0.006, -0.004, 0.005)
+"""How much more each wheel's encoder says: so odometry drifts by half a metre and some ten degrees in five minutes."""
+
+ENCODER_NOISE = 0.01
+_INPUT = "ros"
+_KINDS = {"differential": "cer", "ikart_V1": "ikart_V1"}
+
+
+class Robot:
+    """A robot on a floor.
+
+    Args:
+        plan: one floor.
+        base: the robot's name, or a file.
+        seed: of all noise.
+        start: x, y (metres), direction (degrees); None for the plan's.
+
+    Attributes:
+        simulation: the floor with the robot on it.
+        odometry: where BaseControl believes it to be, in the odometry's frame.
+        driven: metres, in truth.
+    """
+
+    def __init__(
+        self, plan: Plan, base: str = "r1", *, seed: int = 0, start: tuple[float, float, float] | None = None
+    ) -> None:
+        described = robots.load(base)
+        encoders = EncodersSection(scale=SCALES[: len(described.wheels.names)], noise=ENCODER_NOISE)
+        section = SimSection(drive="wheels", laser=LASER, encoders=encoders, seed=seed, start=start)
+        self.simulation = Simulation(section, plan, described)
+        given = settings(base_section(described))
+        self._base = Base(given)
+        self._every = round(given.period * 1e9 / TICK_NS)
+        self._input = self._base.inputs[_INPUT]
+        self._ticks = 0
+        self.driven = 0.0
+        self.odometry = Pose(0.0, 0.0, 0.0)
+        self._measure()
+
+    @property
+    def radius(self) -> float:
+        """Of its hull, metres."""
+        return self.simulation.robot.body.radius
+
+    @property
+    def now(self) -> float:
+        """The time, seconds."""
+        return self.simulation.time_ns / 1e9
+
+    @property
+    def truth(self) -> Pose:
+        """Where it truly is."""
+        at = self.simulation.base.pose()
+        return Pose(at.x, at.y, at.yaw, self.simulation.time_ns)
+
+    @property
+    def moving(self) -> float:
+        """How fast it truly drives, m/s."""
+        twist = self.simulation.base.twist()
+        return math.hypot(twist.x, twist.y)
+
+    @property
+    def scan(self) -> Scan:
+        """The laser's last turn."""
+        return self.simulation.scan
+
+    def command(self, x: float, y: float, turn: float) -> None:
+        """Command a velocity, m/s, m/s and rad/s, as by ``/cmd_vel``."""
+        self._input.command(Velocity(x, y, turn), self.now)
+
+    def tick(self) -> None:
+        """Let 10 ms pass."""
+        if self._ticks % self._every == 0:
+            self.simulation.motors.drive(self._base.step(self.now).tolist())
+        before = self.simulation.base.pose()
+        self.simulation.tick()
+        self._ticks += 1
+        after = self.simulation.base.pose()
+        self.driven += math.hypot(after.x - before.x, after.y - before.y)
+        self._measure()
+
+    def _measure(self) -> None:
+        encoders = self.simulation.motors.encoders()
+        found = self._base.measured(encoders.positions, encoders.time_ns / 1e9)
+        self.odometry = Pose(found.x, found.y, math.remainder(found.theta, 2.0 * math.pi), encoders.time_ns)
+
+
+def base_section(described: Described) -> BaseControlSection:
+    """BaseControl's section for a robot of the simulator."""
+    wheels, limits = described.wheels, described.limits
+    return BaseControlSection(
+        kind=_KINDS[described.kinematics],
+        wheel_radius=wheels.radius,
+        wheel_distance=wheels.separation,
+        max_linear_vel=limits.linear,
+        max_angular_vel=limits.angular,
+        max_linear_acc=limits.linear_acceleration,
+        max_angular_acc=limits.angular_acceleration,
+        max_motor_vel=math.degrees(wheels.max_velocity),
+    )

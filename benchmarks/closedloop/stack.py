@@ -1,0 +1,145 @@
+"""Midspan's own: RobotPathPlanner, RobotGoto and the localiser about one robot, in lock-step, without a hub."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from benchmarks.closedloop.robot import Robot
+from benchmarks.closedloop.worlds import World
+from navigation.constraints import Constraints
+from navigation.localization_server.localizer import Localizer, Status
+from navigation.localization_server.scan import scan_points
+from navigation.localization_server.settings import Settings as LocalizerSettings
+from navigation.pose import Pose
+from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.settings import Settings as DriverSettings
+from navigation.robot_path_planner.ground import Ground
+from navigation.robot_path_planner.planner import PathPlanner
+from navigation.robot_path_planner.settings import Settings as PlannerSettings
+from navigation.status import State
+
+RADII = {"r1": 0.3, "ikart_v1": 0.38}
+"""What the navigation takes the robots' radii for: R1's as in its own files, iKart's a little more than its hull."""
+
+_ROOM = 0.05
+"""Metres that the planner keeps beyond that: RobotGoto needs them."""
+
+_DRIVE_EVERY, _PLAN_EVERY, _LOOK_EVERY = 2, 10, 2
+"""Ticks between steps of RobotGoto and of RobotPathPlanner, and scans between two that the latter looks at."""
+
+
+class Ours:
+    """All three, stepped as their modules would.
+
+    Args:
+        robot: whom they drive.
+        world: where; they know its map.
+        localized: whether the localiser tells where the robot is; else the simulator does.
+        seed: of the localiser's chance.
+        start: where the robot is said to be at first; None: where it is.
+    """
+
+    def __init__(
+        self, robot: Robot, world: World, *, localized: bool = True, seed: int = 0, start: Pose | None = None
+    ) -> None:
+        self._robot = robot
+        described = robot.simulation.robot
+        holonomic = described.kinematics != "differential"
+        radius, limits = RADII[described.name], described.limits
+        self.driver = Driver(
+            DriverSettings(
+                holonomic=holonomic,
+                robot_radius=radius,
+                max_lin_speed=limits.linear,
+                max_ang_speed=math.radians(limits.angular),
+                linear_acceleration=limits.linear_acceleration,
+                angular_acceleration=math.radians(limits.angular_acceleration),
+            )
+        )
+        self.planner = PathPlanner(PlannerSettings(robot_radius=radius + _ROOM))
+        self.planner.use_map(Ground(world.map, radius + _ROOM, self.planner.settings.clearance))
+        self.localizer: Localizer | None = None
+        if localized:
+            self.localizer = Localizer(world.map, replace(LocalizerSettings(), holonomic=holonomic), seed)
+            self.localizer.odometry(robot.odometry)
+            self.localizer.initial(start or robot.truth)
+        self._ticks = self._scans = 0
+        self._scanned = -1
+
+    # what the planner has of the driver
+
+    @property
+    def state(self) -> State:
+        """See `navigation.robot_path_planner.local.LocalNavigator`."""
+        return self.driver.status.state
+
+    @property
+    def reason(self) -> str:
+        """See there."""
+        return self.driver.status.reason
+
+    def send(self, pose: Pose, constraints: Constraints) -> None:
+        """See there."""
+        self.driver.goal(pose, constraints)
+
+    def cancel(self) -> None:
+        """See there."""
+        self.driver.cancel()
+
+    # what a loop has of them
+
+    def goal(self, pose: Pose, constraints: Constraints | None = None) -> None:
+        """Begin to drive there, on the map."""
+        self.planner.goal(pose, constraints=constraints, now=self._robot.now)
+
+    def stop(self) -> None:
+        """Give the goal up."""
+        self.planner.cancel()
+        self.driver.cancel()
+
+    @property
+    def status(self) -> tuple[State, str]:
+        """How the goal is getting on, and why."""
+        return self.planner.status.state, self.planner.status.reason
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the robot is, as far as is known."""
+        return self._robot.truth if self.localizer is None else self.localizer.pose
+
+    def step(self) -> None:
+        """Take up what the last tick brought, and do what is due."""
+        robot, now = self._robot, self._robot.now
+        if self.localizer is not None:
+            self.localizer.odometry(robot.odometry)
+        if robot.scan.time_ns != self._scanned:
+            self._scanned = robot.scan.time_ns
+            self._scan()
+        drives, plans = self._ticks % _DRIVE_EVERY == 0, self._ticks % _PLAN_EVERY == 0
+        self._ticks += 1
+        if not drives:
+            return
+        pose, why = self._known()
+        if plans:
+            self.planner.step(now, pose, self, why)
+        command = self.driver.step(now, pose, robot.odometry, why)
+        if not self.driver.silent:
+            robot.command(*command)
+
+    def _scan(self) -> None:
+        robot, scan = self._robot, self._robot.scan
+        self.driver.scan(scan, robot.odometry)
+        if self.localizer is not None:
+            self.localizer.scan(scan.time_ns, scan_points(scan))
+        pose = self.pose
+        self._scans += 1
+        if pose is not None and self._scans % _LOOK_EVERY == 0:
+            self.planner.scan(robot.now, pose, scan.ranges, scan.first, scan.step)
+
+    def _known(self) -> tuple[Pose | None, str]:
+        """The pose that may be driven by, and why there is none."""
+        if self.localizer is None:
+            return self._robot.truth, ""
+        status, reason = self.localizer.check(self._robot.simulation.time_ns)
+        return (self.localizer.pose, "") if status is Status.OK else (None, reason)

@@ -1,0 +1,88 @@
+"""Goals to drive to, drawn at random, and how long the shortest way to each is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.closedloop.robot import Robot
+from benchmarks.closedloop.worlds import World
+from navigation.algorithms.astar import astar
+from navigation.algorithms.distance_transform import distance_transform
+from navigation.algorithms.shortcut import shortcut
+from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapFlag
+
+_ROOM = 0.25
+"""Metres between the hull at a goal and anything: it can be reached by whoever keeps 0.2 m away."""
+
+_TIGHT = 0.12
+"""The same on the way: what is narrower is no way."""
+
+_LEAST = 1.0
+_TRIES = 10_000
+
+
+class Targets:
+    """Draws goals on a world's map that a robot can reach while the doors are as they are.
+
+    Args:
+        world: where.
+        robot: who.
+        seed: of the goals.
+        farthest: metres of way to a goal at most.
+    """
+
+    def __init__(self, world: World, robot: Robot, seed: int, farthest: float = math.inf) -> None:
+        self._world, self._robot, self._farthest = world, robot, farthest
+        self._random = np.random.default_rng(seed)
+        self._resolution = world.map.getResolution()
+        self._around = self._distances()
+
+    def _distances(self) -> NDArray[np.float32]:
+        """Metres from each cell to what stands there or is kept out of; rows from the top one down."""
+        grid, there = self._world.map, self._robot.simulation.world
+        solid = grid.flags != MapFlag.FREE
+        pieces = [*there.leaves(is_open=False), *(crate.now() for crate in there.crates.values())]
+        rows, columns = np.indices(solid.shape)
+        x, y = grid.centers_of(np.stack((columns, rows), -1).reshape(-1, 2)).T
+        for piece in pieces:
+            c, s = math.cos(piece.yaw), math.sin(piece.yaw)
+            dx, dy = x - piece.x, y - piece.y
+            inside = (np.abs(c * dx + s * dy) <= piece.length / 2 + self._resolution / 2) & (
+                np.abs(c * dy - s * dx) <= piece.width / 2 + self._resolution / 2
+            )
+            solid |= inside.reshape(solid.shape)
+        return distance_transform(solid) * np.float32(self._resolution)
+
+    def _cell(self, pose: Pose) -> tuple[int, int]:
+        column, row = self._world.map.cells_at([(pose.x, pose.y)])[0]
+        return int(row), int(column)
+
+    def way(self, start: Pose, goal: Pose) -> float:
+        """How long the shortest way is, metres; infinite where there is none for a robot of this width."""
+        weights = (self._around > self._robot.radius + _TIGHT).astype(np.uint8)
+        row, column = self._cell(start)
+        free = np.argwhere(weights)
+        here = free[((free - (row, column)) ** 2).sum(1).argmin()]  # a robot may stand nearer to a wall than it drives
+        found = astar(weights, (int(here[0]), int(here[1])), self._cell(goal))
+        if found is None:
+            return math.inf
+        corners = shortcut(weights, found.cells)
+        return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
+
+    def __iter__(self) -> Iterator[tuple[Pose, float]]:
+        """Goals, each with the length of the shortest way from where the robot then is."""
+        rows, columns = np.nonzero(self._around > self._robot.radius + _ROOM)
+        for _ in range(_TRIES):
+            place = int(self._random.integers(len(rows)))
+            x, y = self._world.map.centers_of([(columns[place], rows[place])])[0]
+            goal = Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
+            way = self.way(self._robot.truth, goal)
+            if math.isfinite(way) and _LEAST <= way <= self._farthest:
+                yield goal, way
+        msg = f"no goal in {self._world.name} can be reached from {self._robot.truth}"
+        raise RuntimeError(msg)

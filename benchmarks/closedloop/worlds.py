@@ -1,0 +1,65 @@
+"""The floors that are driven on: the simulator's plans, one floor at a time, with keep-out areas in their maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from navigation.maps.polygon import cells_of
+from sim import export, plans
+from sim.plan import Plan
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+Rectangle = tuple[float, float, float, float]
+"""x0, y0, x1, y1, metres."""
+
+WORLDS = ("apartment", "office", "lab", "hall", "two_storeys/ground", "two_storeys/upper")
+
+KEEP_OUT: dict[str, tuple[Rectangle, ...]] = {
+    "apartment": ((4.1, 7.8, 5.2, 8.6), (0.1, 2.6, 0.8, 3.6), (4.4, 4.1, 5.6, 4.3)),
+    "office": ((11.0, 5.1, 13.0, 5.6), (17.5, 11.2, 19.5, 11.7)),
+    "lab": ((6.3, 4.2, 7.0, 4.9), (8.2, 8.3, 9.0, 9.2)),
+    "hall": ((-4.0, -1.0, -2.0, 1.0), (3.0, 1.0, 5.0, 4.0)),
+    "two_storeys/ground": ((3.5, 5.5, 4.5, 6.5),),
+    "two_storeys/upper": ((9.4, 6.4, 10.4, 7.2),),
+}
+"""Where no robot may go although the floor is free, by world."""
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A floor to drive on.
+
+    Attributes:
+        name: one of `WORLDS`.
+        plan: the floor alone.
+        map: what the robot is given of it: doors stand open in it, and what moves is left out.
+        keep_out: areas of the map that are not to be entered.
+    """
+
+    name: str
+    plan: Plan
+    map: MapGrid2D
+    keep_out: tuple[Rectangle, ...]
+
+
+def world(name: str, *, people: bool = True) -> World:
+    """A world by its name, with the people who walk there or without.
+
+    Raises:
+        SimError: there is none of that name.
+    """
+    building, _, level = name.partition("/")
+    whole = plans.load(building)
+    floor = level or whole.first
+    there = whole.floors[floor]
+    if not people:
+        there = there.model_copy(update={"people": ()})
+    plan = Plan(name=whole.name, floors={floor: there})
+    grid = export.grid(plan, floor)
+    areas = KEEP_OUT.get(name, ())
+    for x0, y0, x1, y1 in areas:
+        part, inside = cells_of(grid, [Vec2D(x0, y0), Vec2D(x1, y0), Vec2D(x1, y1), Vec2D(x0, y1)])
+        cells = grid.flags[part]
+        cells[inside & (cells == MapFlag.FREE)] = MapFlag.KEEP_OUT
+    return World(name, plan, grid, areas)

@@ -1,0 +1,114 @@
+"""Random goals in the closed loop: reached, without a contact and without entering what is to be kept out of?
+
+Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localiser (odometry drifts) in lock-step in one process.
+People walk as the plans have them. A contact is a tick (10 ms) in which the moving robot's hull touches something; a
+keep-out entry a look (50 ms) at which its hull is within such an area. The peer of the way driven is the shortest way on
+the map; the real time factor is simulated seconds per second of processor time, all of it counted.
+
+    python benchmarks/goals.py --world apartment --base r1 --goals 100 [--seed 1] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.closedloop.drive import Drive, Loop
+from benchmarks.closedloop.judge import Judge
+from benchmarks.closedloop.robot import Robot
+from benchmarks.closedloop.stack import Ours
+from benchmarks.closedloop.targets import Targets
+from benchmarks.closedloop.worlds import WORLDS, world
+from benchmarks.rows import Row, add_json_option, report
+
+BASES = ("r1", "ikart_v1")
+NEEDED_FACTOR = 10.0
+
+
+def run(name: str, base: str, goals: int, seed: int, *, people: bool, localized: bool) -> tuple[list[Drive], list[Row]]:
+    """Drive to so many goals in a world, one after the other; what came of each, and the rows of all.
+
+    Args:
+        name: of the world.
+        base: of the robot.
+        goals: how many.
+        seed: of goals and noise.
+        people: whether they walk about.
+        localized: whether our localiser tells where the robot is; False: the simulator does.
+    """
+    there = world(name, people=people)
+    robot = Robot(there.plan, base, seed=seed)
+    judge = Judge(robot, there.keep_out)
+    loop = Loop(robot, Ours(robot, there, localized=localized, seed=seed), judge)
+    targets = Targets(there, robot, seed)
+    loop.settle()
+    drives: list[Drive] = []
+    began, cpu = robot.now, 0.0
+    for number, (goal, way) in enumerate(itertools.islice(targets, goals), 1):
+        contacts, entered, start = judge.contacts, judge.entered, time.process_time()
+        drive = loop.drive(goal, way)
+        cpu += time.process_time() - start
+        drives.append(drive)
+        bad = not drive.reached or judge.contacts > contacts or judge.entered > entered
+        print(_line(number, goal, drive, judge) if bad else f"{number} reached in {drive.seconds:.0f} s", flush=True)
+    return drives, _rows(f"{name}, {base}", drives, judge, (robot.now - began) / cpu)
+
+
+def _line(number: int, goal: tuple[float, ...], drive: Drive, judge: Judge) -> str:
+    x, y, theta = goal[:3]
+    return (
+        f"{number} to {x:.2f} {y:.2f} {math.degrees(theta):.0f} deg: {drive.state.value} {drive.reason!r}, "
+        f"off by {drive.off:.2f} m, belief off by {drive.lost:.2f} m, after {drive.seconds:.0f} s; "
+        f"contacts {judge.contacts}, entries {judge.entered} {judge.where}"
+    )
+
+
+def _rows(case: str, drives: list[Drive], judge: Judge, factor: float) -> list[Row]:
+    reached = [drive for drive in drives if drive.reached]
+    driven, best = sum(drive.driven for drive in reached), sum(drive.optimum for drive in reached)
+    return [
+        Row(f"{case}: goals reached", len(reached), len(drives), "goals", "more"),
+        Row(f"{case}: contacts", judge.contacts, 0.0, "ticks"),
+        Row(f"{case}: keep-out entries", judge.entered, 0.0, "looks"),
+        Row(f"{case}: way driven, shortest way", driven, best, "m"),
+        Row(f"{case}: belief off the truth, the most", max(d.lost for d in drives), 0.15, "m"),
+        Row(f"{case}: room about the hull, the least", judge.room, 0.0, "m", "more"),
+        Row(f"{case}: real time factor, needed", factor, NEEDED_FACTOR, "x", "more"),
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; 1 where a goal was not reached, something was touched or a keep-out area entered."""
+    args = _parser().parse_args(arguments)
+    rows: list[Row] = []
+    for name, base in itertools.product(args.world, args.base):
+        print(f"== {name}, {base}")
+        _, found = run(name, base, args.goals, args.seed, people=not args.alone, localized=not args.truth)
+        rows += found
+    report(rows, args.json)
+    reached, contacts, entries = (rows[place::7] for place in range(3))
+    return int(any(row.ratio < 1.0 for row in reached) or any(row.ours for row in (*contacts, *entries)))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--world", nargs="+", choices=WORLDS, default=list(WORLDS), help="default all")
+    parser.add_argument("--base", nargs="+", choices=BASES, default=list(BASES), help="default both")
+    parser.add_argument("--goals", type=int, default=10, metavar="N", help="in each world with each base (default 10)")
+    parser.add_argument("--seed", type=int, default=0, help="of goals and noise (default 0)")
+    parser.add_argument("--alone", action="store_true", help="nobody walks about")
+    parser.add_argument("--truth", action="store_true", help="the simulator tells where the robot is, no localiser")
+    add_json_option(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
