@@ -25,9 +25,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 _njit: Any = numba.njit
 
 _STRAIGHT, _DIAGONAL = 7, 10
-_OPEN, _UNSEEN, _NEAR, _BLOCKED = 4, 8, 20, 400
-_RING = 16384
+_OPEN, _UNSEEN, _NEAR, _TIGHT, _BLOCKED = 4, 8, 20, 60, 1500
+_RING = 32768
+_KEPT, _KEPT_NEAR = 20.0, 20.0
 _SHORTEST = 4
+_ROUNDED = 0.5
+"""What distances between cells are wrong by, cells."""
+
+_NOWHERE = (math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,7 @@ def descend(
     unseen: NDArray[np.bool_],
     start: tuple[int, int],
     goal: tuple[float, float],
+    before: tuple[float, float] | None,
     radius: float,
     influence: float,
     spare: float,
@@ -71,13 +77,14 @@ def descend(
         unseen: (rows, columns) where nothing is known.
         start: the robot's row and column.
         goal: row and column, in cells; it may lie outside.
+        before: where the way left the window last time: another exit must be better by 20 cells.
         radius: the robot's, cells.
         influence: from here on obstacles do not repel, cells.
         spare: what a straight line keeps beyond the radius, cells.
     """
     cells = np.empty((distances.size, 2), np.int32)
     found = np.empty(4)
-    count = _compiled()(distances, unseen, *start, *goal, radius, influence, spare, cells, found)
+    count = _compiled()(distances, unseen, *start, *goal, *(before or _NOWHERE), radius, influence, spare, cells, found)
     return Descent(cells[:count].copy(), int(found[0]), float(found[1]), float(found[2]), bool(found[3]))
 
 
@@ -99,8 +106,10 @@ def _line_free(
 
 @_part
 def _weight(distance: float, unseen: bool, radius: float, influence: float) -> int:
-    if distance < radius:
+    if distance < radius - _ROUNDED:
         return _BLOCKED
+    if distance < radius + _ROUNDED:
+        return _TIGHT
     weight = _UNSEEN if unseen else _OPEN
     if distance < influence:
         near = 1.0 - (distance - radius) / (influence - radius)
@@ -115,6 +124,8 @@ def _descend(
     start_column: int,
     goal_row: float,
     goal_column: float,
+    before_row: float,
+    before_column: float,
     radius: float,
     influence: float,
     spare: float,
@@ -147,6 +158,8 @@ def _descend(
                 if 0 < r < rows - 1 and 0 < c < columns - 1:
                     continue
                 away = math.hypot(goal_row - r, goal_column - c) - least
+                if math.hypot(before_row - r, before_column - c) > _KEPT_NEAR:
+                    away += _KEPT
                 cost = int(away * _STRAIGHT * _OPEN)
                 cell = r * columns + c
                 costs[cell] = cost
@@ -208,7 +221,7 @@ def _walk(
         path[count, 0], path[count, 1] = row, column
         if count:
             length += math.hypot(row - path[count - 1, 0], column - path[count - 1, 1])
-        inside = distances[row, column] < radius
+        inside = distances[row, column] < radius - _ROUNDED
         left = left or not inside  # a robot that stands too near to something is free to leave
         if inside and left and blocked == math.inf:
             blocked = length
@@ -234,7 +247,7 @@ def _compiled() -> Any:
         numba.types.Array(numba.boolean, 2, "C"),
         size,
         size,
-        *[real] * 5,
+        *[real] * 7,
         numba.types.Array(numba.int32, 2, "C"),
         numba.types.Array(real, 1, "C"),
     )

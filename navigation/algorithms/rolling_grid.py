@@ -84,6 +84,23 @@ def _pass(
 
 
 @_part
+def _shorten(ranges: Floats, believed: Floats, step: float, nearest: float, reach: float, aside: float) -> None:
+    """Let no beam be believed farther than to what it passes nearer than ``aside``."""
+    beams = ranges.shape[0]
+    around = abs(beams * abs(step) - 2.0 * math.pi) < 2.0 * abs(step)
+    for beam in range(beams):
+        distance = ranges[beam]
+        if not nearest <= distance < reach:
+            continue
+        for other in range(1, int(min(aside / distance, 0.8) / abs(step)) + 1):
+            for place in (beam - other, beam + other):
+                if around:
+                    place %= beams
+                if 0 <= place < beams and believed[place] > distance:
+                    believed[place] = distance
+
+
+@_part
 def _came(ended: Floats, since: Floats, row: int, column: int, row0: int, column0: int, now: float) -> float:
     """1 where something came to a cell lately, and stands not beside what has been there for longer."""
     side = ended.shape[0]
@@ -119,10 +136,14 @@ def _mark(
     step: float,
     nearest: float,
     farthest: float,
+    aside: float,
     ranges: Floats,
     points: Floats,
 ) -> int:
     """Take up a scan that was made at (x, y, theta); returns how many points it has within the window.
+
+    A beam that comes nearer than ``aside`` (metres) to where another one ended is believed so far only: scans of
+    several lasers are merged as if one stood in the middle, so that beams seem to pass through corners.
 
     ``points`` (n, 3) gets where beams ended, x and y, and 1 where something came there lately, else 0. NaN says
     nothing; a distance below ``nearest`` neither, but minus infinity (REP 117) is something right before the laser.
@@ -148,14 +169,14 @@ def _mark(
             # seen free just before: something came; never seen before: it was there
             since[r, c] = now if now - passed[r, c] < MOVING_SECONDS else NEVER
         ended[r, c] = now
+    believed = np.minimum(ranges, reach)
+    _shorten(ranges, believed, step, nearest, reach, aside)
     for beam in range(ranges.shape[0]):
-        distance = ranges[beam]
+        distance = believed[beam]
         if math.isnan(distance) or distance < nearest:
             continue
         angle = theta + first + beam * step
-        _pass(
-            passed, ended, resolution, row0, column0, now, x, y, math.cos(angle), math.sin(angle), min(distance, reach)
-        )
+        _pass(passed, ended, resolution, row0, column0, now, x, y, math.cos(angle), math.sin(angle), distance)
     for point in range(count):
         row, column = math.floor(points[point, 1] / resolution), math.floor(points[point, 0] / resolution)
         points[point, 2] = _came(ended, since, row, column, row0, column0, now)
@@ -230,7 +251,7 @@ def kernels() -> tuple[Any, Any, Any, Any]:
     grid = numba.types.Array(real, 2, "C")
     row = numba.types.Array(real, 1, "C")
     states = numba.types.Array(numba.uint8, 2, "C")
-    mark = compiled(_mark, size(grid, grid, grid, real, size, size, *[real] * 8, row, grid), here, nogil=True)
+    mark = compiled(_mark, size(grid, grid, grid, real, size, size, *[real] * 9, row, grid), here, nogil=True)
     near = compiled(_near, size(grid, grid, real, size, size, *[real] * 6, grid), here, nogil=True)
     whole = compiled(_states, numba.void(grid, grid, size, size, real, real, states), here, nogil=True)
     stand = compiled(_stand, numba.void(grid, grid, *[real] * 6), here, nogil=True)

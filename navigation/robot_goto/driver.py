@@ -78,7 +78,7 @@ class Driver:
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius)
+        self.grid = LocalGrid(self.settings.memory, self.settings.robot_radius, self.settings.laser_offset)
         self.status = Status()
         self.command = STILL
         self.spoken: deque[str] = deque(maxlen=8)
@@ -320,9 +320,9 @@ class Driver:
         """Where to drive to next, in the grid's frame."""
         goal = moved @ seen
         if not limits.avoid:
-            return Aim(goal.x, goal.y, math.inf, math.hypot(seen.x, seen.y), direct=True)
+            return Aim(goal.x, goal.y, math.inf, math.hypot(seen.x, seen.y), True, (goal.x, goal.y))
         if self._aim is None or self._aimed != self.grid.scanned:
-            self._aim = aim(self.grid, now, moved, (goal.x, goal.y), self.settings.robot_radius)
+            self._aim = aim(self.grid, now, moved, (goal.x, goal.y), self.settings.robot_radius, self._aim)
             self._aimed = self.grid.scanned
         return self._aim._replace(x=goal.x, y=goal.y) if self._aim.direct else self._aim
 

@@ -53,6 +53,7 @@ class LocalGrid:
     Args:
         memory: seconds for which what was seen of a place is believed; then it is unknown again.
         radius: the robot's, metres: where it stands itself is free.
+        aside: how far its lasers stand from its middle, metres.
 
     Attributes:
         points: (n, 3) where the newest scan's beams ended, x and y; 1 where something came lately, else 0.
@@ -60,8 +61,8 @@ class LocalGrid:
         scanned: when the newest scan was made, seconds; None before the first.
     """
 
-    def __init__(self, memory: float, radius: float) -> None:
-        self._memory, self._radius = memory, radius
+    def __init__(self, memory: float, radius: float, aside: float) -> None:
+        self._memory, self._radius, self._aside = memory, radius, aside
         self._mark, self._near, self._states, self._stand = kernels()
         self._cells = np.empty((SIDE * SIDE, 3))
         self.clear()
@@ -90,7 +91,7 @@ class LocalGrid:
         ranges = np.ascontiguousarray(scan.ranges, np.float64)
         self.count = self._mark(
             self._passed, self._ended, self._since, RESOLUTION, self._row0, self._column0, now,
-            at.x, at.y, at.theta, scan.first, scan.step, scan.nearest, scan.farthest, ranges, self.points,
+            at.x, at.y, at.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside, ranges, self.points,
         )  # fmt: skip
         self.scanned = now
 

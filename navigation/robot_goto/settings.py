@@ -35,6 +35,7 @@ class Settings:
         linear_acceleration: what the base speeds up and brakes by, m/s2.
         angular_acceleration: the same, rad/s2.
         reaction: how long a command, or what the laser sees, takes until the wheels follow it.
+        laser_offset: how far from the robot's middle its lasers stand, where several are merged into one, metres.
         laser_timeout: without a scan for so long the laser is silent.
         memory: how long what the laser saw of a place is believed.
         deadlock_time: without progress for so long it is in a deadlock.
@@ -65,6 +66,7 @@ class Settings:
     linear_acceleration: float = 0.3
     angular_acceleration: float = math.radians(80.0)
     reaction: float = 0.25
+    laser_offset: float = 0.08
     laser_timeout: float = 0.5
     memory: float = 10.0
     deadlock_time: float = 20.0

@@ -18,6 +18,9 @@ INFLUENCE = 0.8
 """Obstacles that are farther off repel not (upstream's ``max_obstacle_distance``), metres."""
 
 _SPARE = 0.05
+_AWAY = 1.0
+"""Metres by which a way out of the window may lead farther from the goal than the robot is; else it is waited for."""
+
 _WIDE = math.radians(60.0)
 
 
@@ -80,6 +83,7 @@ class Aim(NamedTuple):
         blocked: metres along the way to what blocks it; infinite where nothing does.
         left: metres of way to the goal, dear places counting for more.
         direct: whether it is the goal itself, in a straight line.
+        end: where the way ends: x, y; the goal, or where it leaves the window.
     """
 
     x: float
@@ -87,9 +91,12 @@ class Aim(NamedTuple):
     blocked: float
     left: float
     direct: bool
+    end: tuple[float, float]
 
 
-def aim(grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radius: float) -> Aim:
+def aim(
+    grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radius: float, before: Aim | None = None
+) -> Aim:
     """Where the potential field leads.
 
     Args:
@@ -98,18 +105,23 @@ def aim(grid: LocalGrid, now: float, here: Pose, goal: tuple[float, float], radi
         here: the robot, in the grid's frame.
         goal: x and y there.
         radius: the robot's, metres.
+        before: where it led last: a way that is but a little shorter does not take its place.
     """
     states = grid.states(now)
     distances = distance_transform(states == OCCUPIED)
     row, column = (min(max(round(at), 0), SIDE - 1) for at in grid.cell(here.x, here.y))
     way = descend(
         distances, states == UNKNOWN, (row, column), grid.cell(*goal),
-        radius / RESOLUTION, INFLUENCE / RESOLUTION, _SPARE / RESOLUTION,
+        grid.cell(*before.end) if before else None, radius / RESOLUTION, INFLUENCE / RESOLUTION, _SPARE / RESOLUTION,
     )  # fmt: skip
     if way.direct or not len(way.cells):
-        return Aim(*goal, math.inf, way.cost * RESOLUTION, direct=True)
+        return Aim(*goal, math.inf, way.cost * RESOLUTION, True, goal)
+    end = grid.place(*way.cells[-1])
+    away = math.dist(goal, end) - math.dist(goal, (here.x, here.y))
+    if away > _AWAY:  # somebody in a corridor: no reason to flee from him out of it
+        return Aim(*goal, 0.0, math.dist(goal, (here.x, here.y)), False, goal)
     to = goal if way.aim == len(way.cells) - 1 and _near(grid, goal, way.cells[-1]) else grid.place(*way.cells[way.aim])
-    return Aim(*to, way.blocked * RESOLUTION, way.cost * RESOLUTION, direct=False)
+    return Aim(*to, way.blocked * RESOLUTION, way.cost * RESOLUTION, False, end)
 
 
 def _near(grid: LocalGrid, goal: tuple[float, float], cell: tuple[int, int]) -> bool:
