@@ -40,7 +40,9 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
                 of, kind="topic", topic=planner.velocity, type=TWIST, from_=planner.side, rename=section.velocity,
                 priority="command",
             )  # fmt: skip
-    taken = {(planner.side, planner.action): planner.name for planner in section.others.values()}
+    taken: dict[tuple[str, str], str] = {
+        (planner.side, planner.action): planner.name for planner in section.others.values()
+    }
     for side, action, goal in (("ros1", doors.ros1, doors.ros1_goal), ("ros2", doors.ros2, doors.ros2_goal)):
         yield from _door(side, action, goal, taken.get((side, action), ""))
     yield _rule("navigation", topic="/navigation/**")

@@ -25,6 +25,7 @@ class SentGoal:
         id: its 16 bytes.
         accepted: whether the server took it; None until it has said so.
         status: what is known of it; a terminal one once it has ended.
+        active: whether it has not ended.
     """
 
     def __init__(self, client: ActionClient, goal_id: bytes, feedback: Heard | None, ended: Ended) -> None:
@@ -33,6 +34,7 @@ class SentGoal:
         self.status = Status.UNKNOWN
         self._client, self._ended = client, ended
         self.feedback = feedback
+        self.active = True
         self._cancel_wanted = False
 
     def cancel(self) -> None:
@@ -64,7 +66,7 @@ class SentGoal:
     def finish(self, status: Status, result: dict[str, Any] | None, why: str) -> None:
         """Tell of the end, once."""
         if self._client.forget(self.id):
-            self.status = status
+            self.status, self.active = status, False
             self._ended(self, result, why)
 
 
@@ -76,7 +78,7 @@ class ActionClient:
     """Sends goals to one action; made by `bridge.modules.node.Node.action_client`."""
 
     def __init__(self, node: Node, name: str, type_name: str) -> None:
-        self.name, self.type_name = name, type_name
+        self.name, self.type_name, self._node = name, type_name, node
         names, types = parts(name), parts(type_name, sep="_")
         self._send = node.client(names.send_goal, types.send_goal)
         self._result = node.client(names.get_result, types.get_result)
@@ -111,6 +113,12 @@ class ActionClient:
     def cancel(self, goal_id: bytes = bytes(16)) -> None:
         """Ask the server to cancel a goal; zeros for all."""
         self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, lambda _reply: None)
+
+    def close(self) -> None:
+        """Give its ends back; goals under way go on, and nothing more is heard of them."""
+        self._goals.clear()
+        for end in (self._send, self._result, self._cancel, self._feedback):
+            self._node.release(end)
 
     def forget(self, goal_id: bytes) -> bool:
         """The goal ended; whether it had not before."""

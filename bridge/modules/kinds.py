@@ -10,7 +10,7 @@ from bridge.modules.module import Module
 
 KINDS: dict[str, str] = {
     "base_control": "navigation.base_control.module:BaseControl",
-    "gateway": "navigation.gateway.module:Gateway",
+    "gateway": "navigation.gateway.module:GatewayModule",
     "map2d_server": "navigation.map2d_server.module:Map2DServer",
     "transform_server": "bridge.tf.server.module:TransformServer",
 }

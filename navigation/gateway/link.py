@@ -1,0 +1,143 @@
+"""The chosen planner, as the gateway sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from bridge.config.sections.navigation import OURS, NavigationSection
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.action_client import ActionClient, Ended, SentGoal
+from bridge.modules.goal import STATUSES, Status, parts
+from bridge.modules.host import Host
+from navigation.status import STATUS, State
+
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
+PATH, GRID, POSE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped"
+KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_SENT_KEPT = 1000
+
+Message = dict[str, Any]
+
+
+class Link:
+    """Sends goals to a planner, and follows what it tells; all on the module's thread.
+
+    Args:
+        host: the module's.
+        section: says where the planner is.
+        planner: which one.
+        changed: called when the planner told something new.
+    """
+
+    def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
+        self.planner, self._changed = planner, changed
+        self._host = host
+        action = section.at(planner)
+        self._client = ActionClient(host.node, action, NAVIGATE)
+        self._mine: dict[bytes, SentGoal] = {}
+        self._orphans: set[bytes] = set()
+        self._listed: dict[bytes, Status] = {}
+        self._own: Message | None = None
+        self.ended_by_others: State | None = None
+        self.path: Message | None = None
+        self.local_map: Message | None = None
+        self.current_goal: Message | None = None
+        other = section.others.get(planner)
+        base = f"/planner/{planner}"
+        node = host.node
+        topics = {
+            "path": (other.path if other else "", PATH),
+            "local_map": (other.local_map if other else "", GRID),
+            "current_goal": (other.current_goal if other else "", POSE),
+        }
+        self._ends = [
+            node.subscription(parts(action).status, STATUSES, self._hear_list, KEPT),
+            node.subscription(f"{base}/status", STATUS, self._hear_status, KEPT),
+            *(
+                node.subscription(topic or f"{base}/{name}", kind, partial(setattr, self, name), KEPT)
+                for name, (topic, kind) in topics.items()
+            ),
+        ]
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is one of Midspan's."""
+        return self.planner in OURS
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is there."""
+        return self._client.ready
+
+    @property
+    def others(self) -> list[bytes]:
+        """The goals that it drives to and that it was given by others."""
+        listed = self._listed if self.ready else {}
+        return [one for one, status in listed.items() if not status.terminal and one not in self._mine]
+
+    def told(self, goal_id: bytes | None = None) -> tuple[State, str] | None:
+        """The state and the reason that it tells of a goal (None: of any); None where it tells none."""
+        own = self._own
+        if own is None or (goal_id is not None and bytes(own["goal_id"]) != goal_id):
+            return None
+        return State(own["state"]), str(own["reason"])
+
+    @property
+    def pose(self) -> Message | None:
+        """The goal that it says it has."""
+        own = self._own
+        if own is not None and own["goal"]["header"]["frame_id"]:
+            return dict(own["goal"])
+        return self.current_goal
+
+    def send(self, goal: Mapping[str, Any], ended: Ended, feedback: Callable[[Message], None]) -> SentGoal:
+        """Send a goal, under a new id."""
+        self.path = None
+        sent = self._client.send(goal, ended, feedback)
+        while len(self._mine) >= _SENT_KEPT:
+            del self._mine[next(iter(self._mine))]
+        self._mine[sent.id] = sent
+        return sent
+
+    def cancel_orphans(self) -> None:
+        """Have it give up goals from here that it still drives to after they ended here: the link was cut meanwhile."""
+        for one, status in self._listed.items():
+            sent = self._mine.get(one)
+            if sent is None or sent.active or status.terminal:
+                self._orphans.discard(one)
+            elif one not in self._orphans:
+                self._orphans.add(one)
+                self._client.cancel(one)
+
+    def cancel_all(self) -> None:
+        """Have it give up all goals, also those of others."""
+        self._client.cancel()
+
+    def close(self) -> None:
+        """Hear no more of it."""
+        self._client.close()
+        for end in self._ends:
+            self._host.node.release(end)
+
+    def _hear_list(self, message: Message) -> None:
+        listed = {bytes(one["goal_info"]["goal_id"]["uuid"]): Status(one["status"]) for one in message["status_list"]}
+        for goal in self.others:
+            end = listed.get(goal, Status.ABORTED)
+            if end.terminal:
+                self.ended_by_others = _ENDS[end]
+        self._listed = listed
+        self._changed()
+
+    def _hear_status(self, message: Message) -> None:
+        try:
+            State(message["state"])
+        except ValueError:
+            self._host.log.warning("planner %s tells a state that is none: %r", self.planner, message["state"])
+            return
+        self._own = message
+        self._changed()
+
+
+_ENDS = {Status.SUCCEEDED: State.REACHED, Status.CANCELED: State.IDLE, Status.ABORTED: State.ABORTED}

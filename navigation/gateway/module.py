@@ -1,0 +1,110 @@
+"""The gateway: clients of every side give it goals, and it has the chosen planner drive; see docs/navigation.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSection
+from bridge.config.sections.section import Section
+from bridge.hub.qos import Qos
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.worker import Health
+from navigation.frames import Frames
+from navigation.gateway.device import Device
+from navigation.gateway.drive import TargetError, target_of
+from navigation.gateway.gateway import Gateway
+from navigation.gateway.link import KEPT, NAVIGATE, POSE
+from navigation.gateway.places import Places
+from navigation.gateway.services import Services
+from navigation.gateway.velocity import Commander
+from navigation.status import STATUS, State
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+
+STATUS_TOPIC = "/navigation/status"
+_AGAIN_SECONDS = 5.0
+"""After so long YARP's ports say the status again, as YARP's own do."""
+
+_CHANGEABLE = ("planner", "planners", "map", "patience")
+
+
+class GatewayModule(Module):
+    """Opens the doors, and answers behind them."""
+
+    name = "gateway"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Open the doors."""
+        assert isinstance(section, NavigationSection)
+        self._host, self._section = host, section
+        self._told = host.node.publisher(STATUS_TOPIC, STATUS, KEPT, priority="state")
+        self._state = State.IDLE.value
+        self._ports = [host.yarp.output(f"{door}/status:o") for door in section.doors.yarp]
+        frames = Frames(host, section.frame, section.base_frame)
+        places, self._commander = Places(host, section.frame), Commander(host, section.velocity)
+        self.gateway = Gateway(host, section, frames, self._tell)
+        host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
+        host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
+        Services(host.node, self.gateway, places)
+        answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
+        for door in section.doors.yarp:
+            host.yarp.serve(f"{door}/rpc", answers)
+        host.loop.every(_AGAIN_SECONDS, self._say)
+
+    def reload(self, section: Section) -> bool:
+        """Take up another planner, once the one that drives stands; other doors are opened by a new start."""
+        assert isinstance(section, NavigationSection)
+        same = {name: getattr(section, name) for name in _CHANGEABLE}
+        if self._section.model_copy(update=same) != section:
+            return False
+        self._section = section
+        self.gateway.configure(section)
+        return True
+
+    def _goal_pose(self, message: dict[str, Any]) -> None:
+        try:
+            self.gateway.begin([target_of(message)], f"who publishes {GOAL_POSE}")
+        except TargetError as err:
+            self._host.log.warning("%s: refused: %s", GOAL_POSE, err)
+
+    def _tell(self, status: dict[str, Any]) -> None:
+        self._told.publish(status)
+        self._state = status["state"]
+        if status["state"] == State.MOVING.value:
+            self._commander.stop()
+        self._say()
+
+    def _say(self) -> None:
+        for port in self._ports:
+            port.write([f"navigation_status_{self._state}"])
+
+    def health(self) -> Health:
+        """Which planner there is, and what it does."""
+        gateway = self.gateway
+        if not gateway.link.ready:
+            return Health("waiting", f"the planner {gateway.planner} is not there")
+        state, why = gateway.state()
+        words = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
+        return Health("running", f"{words}; {gateway.pending} once it stands" if gateway.pending else words)
+
+    def status(self) -> dict[str, Any]:
+        """What drives to where."""
+        gateway = self.gateway
+        state, why = gateway.state()
+        drive = gateway.drive
+        return {
+            "planner": gateway.planner,
+            "planners": list(gateway.choices),
+            "pending": gateway.pending,
+            "navigation": state.value,
+            "reason": why,
+            "goals": 0 if drive is None else len(drive.targets) - drive.at,
+            "goal": None if drive is None else [*drive.target.pose[:3]],
+            "client": "" if drive is None else drive.who,
+            "goals_of_others": len(gateway.link.others),
+        }
+
+    def stop(self) -> None:
+        """Give up what is under way."""
+        self._commander.stop()
+        self.gateway.close()

@@ -1,0 +1,229 @@
+"""The gateway over planners of the hub: what each client is told, and what each planner is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from navigation.status import State
+from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+MINE = {"name": "mine", "side": "zenoh", "action": "/planner/mine/navigate_to_pose"}
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("gateway"), planners=[MINE]) as made:
+        yield made
+
+
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    running.fresh()
+    return running
+
+
+def at(goal: Any) -> tuple[str, float, float]:
+    """Frame and place of a goal that a planner has."""
+    place = goal.goal["pose"]["pose"]["position"]
+    return goal.goal["pose"]["header"]["frame_id"], place["x"], place["y"]
+
+
+def test_a_goal_its_feedback_and_its_end_go_through(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(3.0, 1.0, frame="/map"))
+    goal = rig.planner.until(1)
+    assert at(goal) == ("map", 3.0, 1.0)
+    assert rig.state(State.MOVING)["goal_id"].tobytes() == asked.sent.id
+    rig.planner.tell(goal, State.WAITING, "a chair")
+    rig.state(State.WAITING, "a chair")
+    rig.planner.on(lambda: goal.feedback({"distance_remaining": 2.5, "current_pose": pose(0.5)}))
+    until(lambda: asked.feedback, "the feedback came", 20)
+    assert asked.feedback[0]["distance_remaining"] == 2.5
+    assert asked.feedback[0]["current_pose"]["pose"]["position"]["x"] == 0.5
+    rig.planner.reach(goal)
+    assert asked.end() == ("SUCCEEDED", "")
+    rig.state(State.REACHED)
+
+
+def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(3.0))
+    rig.planner.give_up(rig.planner.until(1), "no way leads there", 9006)
+    assert asked.end() == ("ABORTED", "no way leads there")
+    assert asked.result is not None
+    assert asked.result["error_code"] == 9006
+    rig.state(State.ABORTED, "no way leads there")
+
+
+def test_a_goal_that_no_planner_could_follow_says_why(rig: Rig) -> None:
+    bad = {
+        "frame is empty": pose(1.0, frame=""),
+        "a number that is none": pose(math.nan),
+        "no rotation": {**pose(1.0), "pose": {"orientation": {"w": 0.0}}},
+    }
+    for why, message in bad.items():
+        status, told = Asked(rig.client, message).end()
+        assert status == "ABORTED"
+        assert why in told
+    assert not rig.planner.goals
+
+
+def test_who_cancels_is_told_once_the_planner_has_let_go(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(3.0))
+    goal = rig.planner.until(1)
+    asked.cancel()
+    assert asked.end()[0] == "CANCELED"
+    assert goal.status.name == "CANCELED"
+    rig.state(State.IDLE)
+
+
+def test_another_clients_goal_takes_the_place_and_the_first_client_hears_it(rig: Rig) -> None:
+    first = Asked(rig.client, pose(1.0))
+    rig.planner.until(1)
+    second = Asked(rig.client, pose(2.0))
+    status, why = first.end()
+    assert status == "CANCELED"
+    assert "took its place" in why
+    goal = rig.planner.until(2)
+    assert at(goal)[1] == 2.0
+    rig.planner.reach(goal)
+    assert second.end() == ("SUCCEEDED", "")
+
+
+def test_in_a_pause_the_clients_goal_stays_active_and_goes_on_under_a_new_id(rig: Rig) -> None:
+    asked = Asked(rig.client, {**pose(4.0), "header": {"frame_id": "map", "stamp": {"sec": 77}}})
+    first = rig.planner.until(1)
+    assert rig.ask("pause")["success"]
+    rig.state(State.PAUSED)
+    until(lambda: not first.active, "the planner stopped", 20)
+    assert not asked.ended
+    assert rig.ask("resume")["success"]
+    second = rig.planner.until(2)
+    assert second.id != first.id
+    assert at(second) == at(first)
+    assert second.goal["pose"]["header"]["stamp"] == {"sec": 0, "nanosec": 0}
+    rig.state(State.MOVING)
+    rig.planner.reach(second)
+    assert asked.end() == ("SUCCEEDED", "")
+    for name in ("pause", "resume"):
+        assert not rig.ask(name)["success"]
+
+
+def test_a_paused_goal_can_be_canceled(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(4.0))
+    rig.planner.until(1)
+    rig.ask("pause")
+    rig.state(State.PAUSED)
+    asked.cancel()
+    assert asked.end()[0] == "CANCELED"
+    rig.state(State.IDLE)
+    assert not rig.ask("resume")["success"]
+
+
+def test_a_planner_that_is_killed_is_waited_for_and_goes_on(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(5.0))
+    rig.planner.until(1)
+    rig.planners.pop("robot_goto").close()
+    rig.state(State.ERROR, "robot_goto is not there")
+    rig.planner = rig.have("robot_goto")
+    goal = rig.planner.until(1)
+    assert at(goal)[1] == 5.0
+    rig.planner.reach(goal)
+    assert asked.end() == ("SUCCEEDED", "")
+
+
+def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> None:
+    rig.worker.reload(rig.configured(patience=0.3))
+    asked = Asked(rig.client, pose(5.0))
+    rig.planner.until(1)
+    rig.planners.pop("robot_goto").close()
+    try:
+        assert asked.end() == ("ABORTED", "the planner robot_goto is not there")
+        assert Asked(rig.client, pose(6.0)).end()[0] == "ABORTED"
+    finally:
+        rig.worker.reload(rig.configured(patience=60.0))
+        rig.planner = rig.have("robot_goto")
+
+
+def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig: Rig) -> None:
+    direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
+    goal = rig.planner.until(1)
+    rig.state(State.MOVING, "itself")
+    assert "stop can end it" in rig.ask("pause")["message"]
+    assert "is driving" in rig.ask("choose_planner", name="mine")["message"]
+    rig.planner.reach(goal)
+    assert direct.end()[0] == "SUCCEEDED"
+    rig.state(State.REACHED, "itself")
+    direct = Asked(rig.client, pose(1.0), "/planner/robot_goto/navigate_to_pose")
+    rig.planner.until(2)
+    rig.state(State.MOVING, "itself")
+    assert rig.ask("stop")["success"]
+    assert direct.end()[0] == "CANCELED"
+    rig.state(State.IDLE)
+
+
+def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(1.0))
+    rig.planner.until(1)
+    Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
+    assert asked.end() == ("CANCELED", "another goal took its place")
+    rig.state(State.MOVING, "itself")
+
+
+def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> None:
+    mine = rig.have("mine")
+    asked = Asked(rig.client, pose(1.0))
+    goal = rig.planner.until(1)
+    assert "robot_goto is driving" in rig.ask("choose_planner", name="mine")["message"]
+    assert "there is no planner 'yours'" in rig.ask("choose_planner", name="yours")["message"]
+    rig.worker.reload(rig.configured(planner="mine"))
+    assert rig.gateway.pending == "mine"
+    rig.planner.reach(goal)
+    assert asked.end()[0] == "SUCCEEDED"
+    until(lambda: rig.gateway.planner == "mine" and rig.gateway.link.ready, "mine drives now", 20)
+    asked = Asked(rig.client, pose(2.0), tree="midspan: through=true")
+    goal = mine.until(1)
+    assert goal.goal["behavior_tree"] == ""  # Midspan's own words are for its own planners
+    mine.reach(goal)
+    assert asked.end()[0] == "SUCCEEDED"
+    assert rig.ask("choose_planner", name="robot_goto")["success"]
+    rig.worker.reload(rig.configured(planner="robot_goto"))
+    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
+
+
+def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
+    store = rig.worker._running["gateway"]._host.store
+    store.put(MAP, "house", MapGrid2D.of([[0] * 4] * 4, name="house"))
+    store.use_map("house")
+    store.put(LOCATION, "kitchen", Map2DLocation("house", 2.0, 3.0, 90.0))
+    store.put(LOCATION, "cellar", Map2DLocation("below", 2.0, 3.0, 90.0))
+    corners = [Vec2D(0.0, 0.0), Vec2D(2.0, 0.0), Vec2D(2.0, 2.0), Vec2D(0.0, 2.0)]
+    store.put(AREA, "hall", Map2DArea("house", corners))
+    found = rig.ask("get_location", name="kitchen")
+    assert found["success"]
+    assert found["pose"]["pose"]["orientation"]["z"] == pytest.approx(math.sin(math.pi / 4))
+    assert rig.ask("go_to", name="kitchen")["success"]
+    assert at(rig.planner.until(1)) == ("map", 2.0, 3.0)
+    rig.ask("go_to", name="hall")
+    goal = rig.planner.until(2)
+    assert at(goal) == ("map", 1.0, 1.0)
+    assert goal.goal["behavior_tree"] == "midspan: heading=false"
+    rig.ask("go_to", name="cellar")
+    assert at(rig.planner.until(3)) == ("below", 2.0, 3.0)
+    missing = rig.ask("go_to", name="attic")
+    assert not missing["success"]
+    assert "kitchen" in missing["message"]
+    out = rig.far.advertise("/goal_pose", "geometry_msgs/PoseStamped")
+
+    def once() -> bool:
+        rig.far.publish(out, pose(7.0))
+        return at(rig.planner.goals[-1])[1] == 7.0
+
+    until(once, "a published goal is driven to", 20)
