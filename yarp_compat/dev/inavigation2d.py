@@ -32,6 +32,11 @@ class NavigationStatusEnum(Enum):
     navigation_status_thinking = "thnk"
     navigation_status_error = "err"
 
+    @property
+    def ended(self) -> bool:
+        """Whether no target is under way any more."""
+        return self.name.removeprefix(_STATUS) in ("idle", "goal_reached", "aborted", "failing", "error")
+
 
 class TrajectoryTypeEnum(Enum):
     """Which waypoints are asked for."""

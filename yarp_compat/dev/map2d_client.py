@@ -8,17 +8,14 @@ with Map2DClient("/map2D_nws_yarp/rpc") as maps:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 from yarp_compat.dev.client import PATIENCE, ServiceClient
 from yarp_compat.dev.imap2d import IMap2DMsgs
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 from yarp_compat.dev.map2d_views import Maps, Places, succeeded
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import ReturnCode, ReturnValue
+from yarp_compat.dev.outcome import called
+from yarp_compat.dev.returnvalue import ReturnValue
 from yarp_compat.naming.naming import Naming
-from yarp_compat.wire.errors import WireError
 
 
 class IMap2D:
@@ -35,179 +32,179 @@ class IMap2D:
 
     def clearAllMaps(self) -> ReturnValue:
         """Forget all maps."""
-        return _called(self._remote.clear_all_maps_RPC)
+        return called(self._remote.clear_all_maps_RPC)
 
     def store_map(self, themap: MapGrid2D) -> ReturnValue:
         """Keep a map under its own name, in place of one that has it."""
-        return _called(self._remote.store_map_RPC, themap)
+        return called(self._remote.store_map_RPC, themap)
 
     def get_map(self, map_name: str, themap: MapGrid2D) -> ReturnValue:
         """Take a map."""
-        return _called(self._remote.get_map_RPC, map_name, into=themap)
+        return called(self._remote.get_map_RPC, map_name, into=themap)
 
     def get_map_names(self, map_names: list[str]) -> ReturnValue:
         """The names of all maps."""
-        return _called(self._remote.get_map_names_RPC, into=map_names)
+        return called(self._remote.get_map_names_RPC, into=map_names)
 
     def remove_map(self, map_name: str) -> ReturnValue:
         """Forget a map."""
-        return _called(self._remote.remove_map_RPC, map_name)
+        return called(self._remote.remove_map_RPC, map_name)
 
     def clearAllMapsTemporaryFlags(self) -> ReturnValue:
         """Take what is temporary out of all maps."""
-        return _called(self._remote.clear_all_maps_temporary_flags_RPC)
+        return called(self._remote.clear_all_maps_temporary_flags_RPC)
 
     def clearMapTemporaryFlags(self, map_name: str) -> ReturnValue:
         """Take what is temporary out of a map."""
-        return _called(self._remote.clear_map_temporary_flags_RPC, map_name)
+        return called(self._remote.clear_map_temporary_flags_RPC, map_name)
 
     def enableMapsCompression(self, enable: bool) -> ReturnValue:
         """Send maps compressed, or not."""
-        return _called(self._remote.enable_maps_compression_RPC, enable)
+        return called(self._remote.enable_maps_compression_RPC, enable)
 
     def storeObject(self, object_name: str, obj: Map2DObject) -> ReturnValue:
         """Keep an object under a name."""
-        return _called(self._remote.store_object_RPC, object_name, obj)
+        return called(self._remote.store_object_RPC, object_name, obj)
 
     def getObject(self, object_name: str, obj: Map2DObject) -> ReturnValue:
         """Take an object."""
-        return _called(self._remote.get_object_RPC, object_name, into=obj)
+        return called(self._remote.get_object_RPC, object_name, into=obj)
 
     def getObjectsList(self, objects: list[str]) -> ReturnValue:
         """The names of all objects."""
-        return _called(self._remote.get_objects_list_RPC, into=objects)
+        return called(self._remote.get_objects_list_RPC, into=objects)
 
     def getAllObjects(self, objects: list[Map2DObject]) -> ReturnValue:
         """All objects, without their names."""
-        return _called(self._remote.get_all_objects_RPC, into=objects)
+        return called(self._remote.get_all_objects_RPC, into=objects)
 
     def renameObject(self, original_name: str, new_name: str) -> ReturnValue:
         """Give an object another name."""
-        return _called(self._remote.rename_object_RPC, original_name, new_name)
+        return called(self._remote.rename_object_RPC, original_name, new_name)
 
     def deleteObject(self, object_name: str) -> ReturnValue:
         """Forget an object."""
-        return _called(self._remote.delete_object_RPC, object_name)
+        return called(self._remote.delete_object_RPC, object_name)
 
     def clearAllObjects(self) -> ReturnValue:
         """Forget all objects."""
-        return _called(self._remote.clear_all_objects_RPC)
+        return called(self._remote.clear_all_objects_RPC)
 
     def storeLocation(self, location_name: str, loc: Map2DLocation) -> ReturnValue:
         """Keep a location under a name."""
-        return _called(self._remote.store_location_RPC, location_name, loc)
+        return called(self._remote.store_location_RPC, location_name, loc)
 
     def getLocation(self, location_name: str, loc: Map2DLocation) -> ReturnValue:
         """Take a location."""
-        return _called(self._remote.get_location_RPC, location_name, into=loc)
+        return called(self._remote.get_location_RPC, location_name, into=loc)
 
     def getLocationsList(self, locations: list[str]) -> ReturnValue:
         """The names of all locations."""
-        return _called(self._remote.get_locations_list_RPC, into=locations)
+        return called(self._remote.get_locations_list_RPC, into=locations)
 
     def getAllLocations(self, locations: list[Map2DLocation]) -> ReturnValue:
         """All locations, without their names."""
-        return _called(self._remote.get_all_locations_RPC, into=locations)
+        return called(self._remote.get_all_locations_RPC, into=locations)
 
     def renameLocation(self, original_name: str, new_name: str) -> ReturnValue:
         """Give a location another name."""
-        return _called(self._remote.rename_location_RPC, original_name, new_name)
+        return called(self._remote.rename_location_RPC, original_name, new_name)
 
     def deleteLocation(self, location_name: str) -> ReturnValue:
         """Forget a location."""
-        return _called(self._remote.delete_location_RPC, location_name)
+        return called(self._remote.delete_location_RPC, location_name)
 
     def clearAllLocations(self) -> ReturnValue:
         """Forget all locations."""
-        return _called(self._remote.clear_all_locations_RPC)
+        return called(self._remote.clear_all_locations_RPC)
 
     def storeArea(self, area_name: str, area: Map2DArea) -> ReturnValue:
         """Keep an area under a name."""
-        return _called(self._remote.store_area_RPC, area_name, area)
+        return called(self._remote.store_area_RPC, area_name, area)
 
     def getArea(self, area_name: str, area: Map2DArea) -> ReturnValue:
         """Take an area."""
-        return _called(self._remote.get_area_RPC, area_name, into=area)
+        return called(self._remote.get_area_RPC, area_name, into=area)
 
     def getAreasList(self, areas: list[str]) -> ReturnValue:
         """The names of all areas."""
-        return _called(self._remote.get_areas_list_RPC, into=areas)
+        return called(self._remote.get_areas_list_RPC, into=areas)
 
     def getAllAreas(self, areas: list[Map2DArea]) -> ReturnValue:
         """All areas, without their names."""
-        return _called(self._remote.get_all_areas_RPC, into=areas)
+        return called(self._remote.get_all_areas_RPC, into=areas)
 
     def renameArea(self, original_name: str, new_name: str) -> ReturnValue:
         """Give an area another name."""
-        return _called(self._remote.rename_area_RPC, original_name, new_name)
+        return called(self._remote.rename_area_RPC, original_name, new_name)
 
     def deleteArea(self, area_name: str) -> ReturnValue:
         """Forget an area."""
-        return _called(self._remote.delete_area_RPC, area_name)
+        return called(self._remote.delete_area_RPC, area_name)
 
     def clearAllAreas(self) -> ReturnValue:
         """Forget all areas."""
-        return _called(self._remote.clear_all_areas_RPC)
+        return called(self._remote.clear_all_areas_RPC)
 
     def storePath(self, path_name: str, path: Map2DPath) -> ReturnValue:
         """Keep a path under a name."""
-        return _called(self._remote.store_path_RPC, path_name, path)
+        return called(self._remote.store_path_RPC, path_name, path)
 
     def getPath(self, path_name: str, path: Map2DPath) -> ReturnValue:
         """Take a path."""
-        return _called(self._remote.get_path_RPC, path_name, into=path)
+        return called(self._remote.get_path_RPC, path_name, into=path)
 
     def getPathsList(self, paths: list[str]) -> ReturnValue:
         """The names of all paths."""
-        return _called(self._remote.get_paths_list_RPC, into=paths)
+        return called(self._remote.get_paths_list_RPC, into=paths)
 
     def getAllPaths(self, paths: list[Map2DPath]) -> ReturnValue:
         """All paths, without their names."""
-        return _called(self._remote.get_all_paths_RPC, into=paths)
+        return called(self._remote.get_all_paths_RPC, into=paths)
 
     def renamePath(self, original_name: str, new_name: str) -> ReturnValue:
         """Give a path another name."""
-        return _called(self._remote.rename_path_RPC, original_name, new_name)
+        return called(self._remote.rename_path_RPC, original_name, new_name)
 
     def deletePath(self, path_name: str) -> ReturnValue:
         """Forget a path."""
-        return _called(self._remote.delete_path_RPC, path_name)
+        return called(self._remote.delete_path_RPC, path_name)
 
     def clearAllPaths(self) -> ReturnValue:
         """Forget all paths."""
-        return _called(self._remote.clear_all_paths_RPC)
+        return called(self._remote.clear_all_paths_RPC)
 
     def saveMapToDisk(self, map_name: str, file_name: str) -> ReturnValue:
         """Write a map into a file of the server's machine."""
-        return _called(self._remote.save_map_to_disk_RPC, map_name, file_name)
+        return called(self._remote.save_map_to_disk_RPC, map_name, file_name)
 
     def loadMapFromDisk(self, file_name: str) -> ReturnValue:
         """Read a map from a file of the server's machine."""
-        return _called(self._remote.load_map_from_disk_RPC, file_name)
+        return called(self._remote.load_map_from_disk_RPC, file_name)
 
     def saveMapsCollection(self, file_name: str) -> ReturnValue:
         """Write all maps into files, and their list."""
-        return _called(self._remote.save_maps_collection_RPC, file_name)
+        return called(self._remote.save_maps_collection_RPC, file_name)
 
     def loadMapsCollection(self, file_name: str) -> ReturnValue:
         """Read the maps of such a list."""
-        return _called(self._remote.load_maps_collection_RPC, file_name)
+        return called(self._remote.load_maps_collection_RPC, file_name)
 
     def saveLocationsAndExtras(self, file_name: str) -> ReturnValue:
         """Write all locations, objects, areas and paths."""
-        return _called(self._remote.save_locations_and_extras_RPC, file_name)
+        return called(self._remote.save_locations_and_extras_RPC, file_name)
 
     def loadLocationsAndExtras(self, file_name: str) -> ReturnValue:
         """Read such a file."""
-        return _called(self._remote.load_locations_and_extras_RPC, file_name)
+        return called(self._remote.load_locations_and_extras_RPC, file_name)
 
     def reloadMapsCollection(self) -> ReturnValue:
         """Read the collection of the server's start again."""
-        return _called(self._remote.reload_maps_collection_RPC)
+        return called(self._remote.reload_maps_collection_RPC)
 
     def reloadLocationsAndExtras(self) -> ReturnValue:
         """Read the locations of the server's start again."""
-        return _called(self._remote.reload_locations_and_extras_RPC)
+        return called(self._remote.reload_locations_and_extras_RPC)
 
 
 class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
@@ -254,18 +251,3 @@ class Map2DClient(ServiceClient[IMap2DMsgs], IMap2D):
     def reload_places(self) -> None:
         """Have the server read the file of its start again; raises `CallFailed` where it refuses."""
         succeeded(self.remote.reload_locations_and_extras_RPC())
-
-
-def _called(call: Callable[..., Any], *arguments: Any, into: Any = None) -> ReturnValue:
-    try:
-        returned = call(*arguments)
-    except (OSError, WireError):
-        return ReturnValue(ReturnCode.COMMUNICATION)
-    if isinstance(returned, ReturnValue):
-        return returned
-    outcome, value = returned
-    if outcome and isinstance(into, list):
-        into[:] = value
-    elif outcome:
-        into._become(value)
-    return ReturnValue(outcome.code)

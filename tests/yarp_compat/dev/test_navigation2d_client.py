@@ -1,0 +1,255 @@
+"""Our clients of INavigation2D and ILocalization2D with servers of ours, over ports, in every generation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.yarp_compat.dev.keptmaps import KeptMaps
+from tests.yarp_compat.dev.test_imap2d import KITCHEN, WAY, small_map
+from tests.yarp_compat.dev.test_inavigation2d import COVARIANCE, FAILED, LOCALIZED, Planner
+from tests.yarp_compat.ports.conftest import MakePort, make_port, naming
+from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs
+from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, NavigationStatusEnum, TrajectoryTypeEnum
+from yarp_compat.dev.localization2d_client import Localization2DClient
+from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.navigation2d_client import Navigation2DClient
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.server import Server
+from yarp_compat.os.stdvector import BVector, SVector
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.pythonic import Client
+from yarp_compat.sig.matrix import Matrix
+from yarp_compat.sig.vec2d import Vec2D
+from yarp_compat.wire.generation import Generation, Generations
+
+__all__ = ["make_port", "naming"]
+
+ROOM = Map2DArea("m1", [Vec2D(0, 0), Vec2D(2, 0), Vec2D(2, 3), Vec2D(0, 3)], "a room")
+
+
+class Robot(Planner):
+    """A planner and localiser; what they are told is kept."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.status = "moving"
+        self.placed: list[Any] = []
+        self.located: tuple[Map2DLocation, Any] | None = (Map2DLocation("m1", 1.0, 2.1, 100.0), COVARIANCE)
+
+    def getNavigationStatus(self) -> str:
+        return self.status
+
+    def resumeNavigation(self) -> None:
+        self.told.append("resume")
+
+    def recomputeCurrentNavigationPath(self) -> None:
+        self.told.append("recompute")
+
+    def getCurrentNavigationWaypoint(self) -> Map2DLocation:
+        return KITCHEN
+
+    def getLastVelocityCommand(self) -> tuple[float, float, float]:
+        return 0.1, 0.0, 5.0
+
+    def getCurrentPosition(self) -> tuple[Map2DLocation, Any] | None:
+        return self.located
+
+    def getLocalizationStatus(self) -> str:
+        return "localized_ok"
+
+    def getEstimatedPoses(self) -> list[Map2DLocation]:
+        return [KITCHEN]
+
+    def getEstimatedOdometry(self) -> OdometryData:
+        return OdometryData(odom_x=1.5)
+
+    def setInitialPose(self, *said: Any) -> None:
+        self.placed.append(said)
+
+    def startLocalizationService(self) -> None:
+        self.told.append("start")
+
+    def stopLocalizationService(self) -> None:
+        self.told.append("stop")
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return Robot()
+
+
+@pytest.fixture
+def kept() -> KeptMaps:
+    kept = KeptMaps()
+    kept.kept["location"]["kitchen"] = KITCHEN
+    kept.kept["area"].update(room=ROOM, far=Map2DArea("m1", [Vec2D(8, 8), Vec2D(9, 8), Vec2D(9, 9)]))
+    kept.kept["path"]["way"] = WAY
+    return kept
+
+
+@pytest.fixture(params=[Generation.YARP_3_6, Generation.YARP_3_12, Generation.YARP_4])
+def client(
+    request: pytest.FixtureRequest, robot: Robot, kept: KeptMaps, make_port: MakePort, naming: LocalNaming
+) -> Iterator[Navigation2DClient]:
+    generation: Generation = request.param
+    for name, service in (("/nav", Navigation2DServer(robot)), ("/loc", Localization2DServer(robot)), ("/maps", kept)):
+        server = Server(service, Generations(generation))
+        make_port(f"{name}/rpc", server, rpc=True, on_event=server.on_event, profile=generation.profile)
+    with Navigation2DClient("/nav", "/maps", "/loc", "/me", naming=naming) as made:
+        yield made
+
+
+def test_targets_and_their_control(client: Navigation2DClient, robot: Robot) -> None:
+    assert client.gotoTargetByAbsoluteLocation(KITCHEN)
+    place, way, grid, status = Map2DLocation(), Map2DPath(), MapGrid2D(), [None]
+    assert client.getAbsoluteLocationOfCurrentTarget(place)
+    assert place == client.getAbsoluteLocationOfCurrentTarget() == KITCHEN
+    assert client.getRelativeLocationOfCurrentTarget() == (OK, 1.0, 2.0, 3.0)
+    assert client.getNavigationStatus(status)
+    assert status == [client.getNavigationStatus()] == [NavigationStatusEnum.navigation_status_moving]
+    assert client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory, way)
+    assert way == client.getAllNavigationWaypoints(TrajectoryTypeEnum.global_trajectory) == WAY
+    assert client.getCurrentNavigationWaypoint() == KITCHEN
+    assert client.getCurrentNavigationMap(NavigationMapTypeEnum.local_map, grid)
+    assert grid == small_map()
+    assert not client.getCurrentNavigationMap(NavigationMapTypeEnum.global_map, grid)
+    assert grid == small_map()
+    calls = [client.suspendNavigation(), client.suspendNavigation(2.0), client.resumeNavigation(),
+             client.recomputeCurrentNavigationPath(), client.followPath(WAY),
+             client.gotoTargetByRelativeLocation(1, 2, 90), client.applyVelocityCommand(0.1, 0, 5)]  # fmt: skip
+    assert all(calls)
+    assert robot.told == [math.inf, 2.0, "resume", "recompute", WAY, (1.0, 2.0, 90.0), (0.1, 0.0, 5.0, 0.1)]
+    assert client.gotoTargetByRelativeLocation(1, 2)
+    assert client.getLastVelocityCommand() == (OK, 0.1, 0.0, 5.0)
+    assert client.stopNavigation()
+    assert client.getRelativeLocationOfCurrentTarget()[0].code is ReturnCode.METHOD_FAILED
+    assert client.getAbsoluteLocationOfCurrentTarget() == Map2DLocation()
+
+
+def test_targets_by_name(client: Navigation2DClient, robot: Robot) -> None:
+    name = SVector()
+    assert client.gotoTargetByLocationName("kitchen")
+    assert (robot.target, client.getNameOfCurrentTarget()) == (KITCHEN, "kitchen")
+    assert client.gotoTargetByLocationName("room")
+    assert robot.target is not None
+    assert ROOM.checkLocationInsideArea(robot.target)
+    assert client.getNameOfCurrentTarget(name)
+    assert name == ["room"]
+    assert client.gotoTargetByLocationName("way")
+    assert robot.told == [WAY]
+    assert client.gotoTargetByLocationName("nowhere") == FAILED
+    assert robot.target is None  # it is stopped, as upstream's client does
+
+
+def test_places_by_where_the_robot_is(client: Navigation2DClient, robot: Robot, kept: KeptMaps) -> None:
+    truth, name, area = BVector(), SVector(), Map2DArea()
+    assert client.checkInsideArea("room", truth)
+    assert truth == [True]
+    assert client.checkInsideArea(kept.kept["area"]["far"]) is False
+    assert client.checkInsideArea("nowhere", truth) == FAILED
+    assert client.checkNearToLocation("kitchen", truth, 0.2)
+    assert truth == [True]
+    assert client.checkNearToLocation(KITCHEN, None, 0.2, 5) is False
+    assert client.checkNearToLocation("kitchen", None, 0.2, 15) is True
+    assert client.findCurrentArea(name, area)
+    assert (name, area) == (["room"], ROOM)
+    assert client.storeCurrentPosition("here")
+    assert kept.kept["location"]["here"] == robot.getCurrentPosition()[0]
+    robot.located = (Map2DLocation("m2", 1, 2), None)
+    assert client.findCurrentArea(name, area)
+    assert (name, area) == ([""], Map2DArea())
+    robot.located = None
+    for call in (lambda: client.checkInsideArea("room", truth), lambda: client.checkNearToLocation(KITCHEN, truth, 1),
+                 lambda: client.findCurrentArea(name, area), lambda: client.storeCurrentPosition("here")):  # fmt: skip
+        assert call() == FAILED
+
+
+def test_where_the_robot_is(client: Navigation2DClient, robot: Robot) -> None:
+    place, covariance, poses, odometry = Map2DLocation(), Matrix(), [], OdometryData()
+    assert client.getCurrentPosition(place, covariance)
+    assert (place, covariance) == (robot.located[0], COVARIANCE)
+    assert client.getCurrentPosition() == client.position == place
+    assert client.getLocalizationStatus() is LOCALIZED
+    assert client.getEstimatedPoses(poses)
+    assert poses == [KITCHEN]
+    assert client.getEstimatedOdometry(odometry)
+    assert odometry.odom_x == 1.5
+    assert client.startLocalizationService()
+    assert client.stopLocalizationService()
+    assert robot.told == ["start", "stop"]
+    assert client.setInitialPose(KITCHEN)
+    assert client.setInitialPose(KITCHEN, COVARIANCE)
+    assert client.setInitialPose(KITCHEN, Matrix(2, 2)) == FAILED
+    assert [said[0] for said in robot.placed] == [KITCHEN, KITCHEN]
+    robot.located = None
+    assert client.getCurrentPosition(place, covariance) == FAILED
+    with pytest.raises(CallFailed):
+        _ = client.position
+
+
+def test_the_map_servers_methods(client: Navigation2DClient) -> None:
+    names = SVector()
+    assert client.getLocationsList(names)
+    assert names == ["kitchen"]
+    assert client.deleteLocation("kitchen")
+
+
+def test_the_python_way(client: Navigation2DClient, robot: Robot) -> None:
+    client.go("kitchen")
+    client.go(KITCHEN)
+    with pytest.raises(CallFailed):
+        client.go("nowhere")
+    with pytest.raises(TimeoutError, match="moving"):
+        client.wait(0)
+    robot.status = "aborted"
+    assert client.wait() is client.status is NavigationStatusEnum.navigation_status_aborted
+
+
+def test_what_people_ask(client: Navigation2DClient, robot: Robot, naming: LocalNaming) -> None:
+    with Client("/me/user_commands/rpc", "/people", naming=naming) as people:
+        assert people.ask(["listLocations"]) == ["many", "kitchen"]
+        assert people.ask(["gotoLocation", "kitchen"]) == ["ok"]
+        assert people.ask(["gotoLocation", "nowhere"]) == ["fail"]
+        assert people.ask(["help"])[0] == "many"
+        assert people.ask(["nonsense"]) == ["err"]
+    assert robot.target is None
+
+
+def test_a_server_that_is_not_there(make_port: MakePort, naming: LocalNaming, robot: Robot) -> None:
+    port = make_port("/nav/rpc", Server(Navigation2DServer(robot)), rpc=True)
+    unreached = ReturnValue(ReturnCode.COMMUNICATION)
+    with Navigation2DClient("/nav", "", "", naming=naming) as client:
+        assert client.gotoTargetByAbsoluteLocation(KITCHEN)
+        assert client.getCurrentPosition(Map2DLocation()) == unreached
+        assert client.getLocationsList([]) == unreached
+        port.close()
+        assert client.stopNavigation() == unreached
+        assert client.getNavigationStatus() is NavigationStatusEnum.navigation_status_error
+
+
+class Forgetful(ILocalization2DMsgs):
+    """As servers of 4.0 are: what follows the outcome is unset where it is "ok"."""
+
+    def get_current_position2_RPC(self) -> Any:
+        return OK, Map2DLocation(), Matrix(3, 3)
+
+
+def test_a_position_without_covariance_is_none(
+    make_port: MakePort, naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_port("/loc/rpc", Server(Forgetful()), rpc=True)
+    with Localization2DClient("/loc", "/me", naming=naming) as client:
+        assert client.getCurrentPosition(Map2DLocation(), Matrix())
+        empty = lambda: (OK, Map2DLocation(), Matrix())  # noqa: E731
+        monkeypatch.setattr(client.remote, "get_current_position2_RPC", empty)
+        place = Map2DLocation("m1", 1, 2)
+        assert client.getCurrentPosition(place, Matrix()) == FAILED
+        assert place == Map2DLocation("m1", 1, 2)
