@@ -22,6 +22,9 @@ from navigation.algorithms.distance_transform import distance_transform
 Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
 
+_THROUGH = 0.3
+"""Metres before its end at which a beam that meets a wall went through it."""
+
 
 class LikelihoodField:
     """A map as tables, in a frame of its own: metres right of and above its lower left corner.
@@ -67,22 +70,21 @@ class LikelihoodField:
         _score()(table, worst, 1.0 / self.resolution, np.ascontiguousarray(poses), np.ascontiguousarray(points), out)
         return out
 
-    def misses(self, pose: tuple[float, float, float], points: Floats) -> Floats:
-        """How far each beam's end is from the nearest wall at a pose, metres; infinite off the map."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        columns = np.floor((pose[0] + c * points[:, 0] - s * points[:, 1]) / self.resolution).astype(np.int64)
-        rows = np.floor((pose[1] + s * points[:, 0] + c * points[:, 1]) / self.resolution).astype(np.int64)
-        height, width = self.distances.shape
-        inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-        found = np.full(len(points), math.inf)
-        found[inside] = self.distances[rows[inside], columns[inside]]
-        return found
+    def agreement(self, pose: tuple[float, float, float], points: Floats, within: float) -> float:
+        """How well the map explains a scan at a pose: -1 to 1.
 
-    def is_free(self, x: float, y: float) -> bool:
-        """Whether a robot's middle may be there."""
-        row, column = math.floor(y / self.resolution), math.floor(x / self.resolution)
-        height, width = self.free.shape
-        return 0 <= row < height and 0 <= column < width and bool(self.free[row, column])
+        It is the share of beams that end at a wall, less the share of those that speak against the pose since they went
+        through a wall. The others, which ended before a wall, may have met what the map does not have.
+
+        Args:
+            pose: x, y, theta: metres, radians.
+            points: (m, 2) the beams' ends in the robot's frame, metres.
+            within: metres from a wall at which a beam ends at it.
+        """
+        counts = np.zeros(2, np.int64)
+        scale = 1.0 / self.resolution
+        _judged()(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH, counts)
+        return float(counts[0] - counts[1]) / len(points)
 
 
 def _surface(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -107,6 +109,52 @@ def _sum(table: Field, worst: float, scale: float, poses: Floats, points: Floats
             else:
                 total += worst
         out[n] = total
+
+
+def _judge(
+    distances: Field,
+    scale: float,
+    x: float,
+    y: float,
+    theta: float,
+    points: Floats,
+    within: float,
+    through: float,
+    counts: NDArray[np.int64],
+) -> None:
+    """Count beams that end at walls, and those that went through one so many metres before their end."""
+    rows, columns = distances.shape
+    c, s = math.cos(theta), math.sin(theta)
+    for m in range(len(points)):
+        dx, dy = c * points[m, 0] - s * points[m, 1], s * points[m, 0] + c * points[m, 1]
+        right, up = (x + dx) * scale, (y + dy) * scale
+        if right >= 0.0 and up >= 0.0 and right < columns and up < rows and distances[int(up), int(right)] < within:
+            counts[0] += 1
+            continue
+        length = math.hypot(dx, dy)
+        if length <= through:
+            continue
+        gone, last = 0.0, length - through
+        while gone < last:
+            right, up = (x + dx * gone / length) * scale, (y + dy * gone / length) * scale
+            if right < 0.0 or up < 0.0 or right >= columns or up >= rows:
+                break
+            room = distances[int(up), int(right)]
+            if room == 0.0:
+                counts[1] += 1
+                break
+            # a wall's cell is not nearer than its middle less two halves of a cell's diagonal
+            gone += max(room - 1.42 / scale, 0.4 / scale)
+
+
+@cache
+def _judged() -> Any:
+    floats = numba.types.Array(numba.float64, 2, "C")
+    table = numba.types.Array(numba.float32, 2, "C")
+    number = numba.float64
+    counts = numba.types.Array(numba.int64, 1, "C")
+    signature = numba.void(table, number, number, number, number, floats, number, number, counts)
+    return compiled(_judge, signature, [Path(__file__)], nogil=True)
 
 
 @cache

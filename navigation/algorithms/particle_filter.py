@@ -100,7 +100,8 @@ def drawn(weights: Floats, count: int, rng: np.random.Generator) -> NDArray[np.i
     """Which particles come next, each about as often as it weighs."""
     sums = np.cumsum(weights)
     places = (rng.random() + np.arange(count)) / count * sums[-1]
-    return np.minimum(np.searchsorted(sums, places), len(weights) - 1)
+    found: NDArray[np.intp] = np.minimum(np.searchsorted(sums, places), len(weights) - 1)
+    return found
 
 
 def heaviest(particles: Floats, weights: Floats, rng: np.random.Generator) -> Cluster:

@@ -68,13 +68,6 @@ class PoseSearch:
         self._wide = field.table(_COARSE_SIGMA, _HIT)
         self._free = np.ascontiguousarray(field.free)
 
-    def everywhere(self) -> Window:
-        """The whole map, all directions."""
-        rows, columns = self._free.shape
-        size = self._field.resolution
-        x, y = columns * size / 2.0, rows * size / 2.0
-        return Window(x, y, 0.0, max(x, y), math.pi)
-
     def best(self, points: Floats, window: Window) -> tuple[Floats, Floats]:
         """The poses in a window that the scan fits best, no two near each other.
 

@@ -35,6 +35,7 @@ _SCATTER = np.diag([0.1**2, 0.1**2, math.radians(3.0) ** 2])
 _MEMORY = 0.7
 """Of the quality that was, from one scan to the next."""
 
+_PATIENCE = 4
 _STOOD = (0.01, math.radians(0.5))
 _NEVER = -(1 << 62)
 
@@ -54,7 +55,7 @@ class Estimate:
     Attributes:
         pose: on the map; None before a start was given.
         covariance: (3, 3) of x, y, theta: metres, radians.
-        quality: share of the scan that the map explains, 0 to 1.
+        quality: share of the scan that the map explains, less what speaks against it, 0 to 1.
         status: whether to rely on it.
         reason: why not.
     """
@@ -101,7 +102,7 @@ class Localizer:
         self._anew = False
         self._quality = 0.0
         self._seen: Pose | None = None
-        self._moved_away = False
+        self._start = Pose(0.0, 0.0, 0.0)
         self._scan_ns = self._searched_ns = _NEVER
         self._fruitless = 0
         self._status, self._reason = Status.NOT_YET, "no start was given"
@@ -146,7 +147,7 @@ class Localizer:
         self._correction = None if self._updated is None else pose @ self._updated.inverse
         self._start = pose
         self._forced = self._anew = True
-        self._seen, self._moved_away = None, False
+        self._seen = None
         self._searched_ns, self._fruitless = _NEVER, 0
         self._status, self._reason = Status.NOT_YET, "a start was given, and no scan has been held against it yet"
 
@@ -247,7 +248,8 @@ class Localizer:
             self._particles = self._particles[which]
             self._weights = np.full(len(which), 1.0 / len(which))
         self._updated, self._forced = odometry, False
-        self._correction = self._corner @ Pose(*map(float, found.mean)) @ odometry.inverse
+        x, y, theta = found.mean.tolist()
+        self._correction = self._corner @ Pose(x, y, theta) @ odometry.inverse
         self._covariance = self._turned(found.covariance)
         self.updates += 1
 
@@ -260,8 +262,8 @@ class Localizer:
         return found
 
     def _explained(self, here: tuple[float, float, float], points: Floats) -> float:
-        """The share of beams that end at walls of the map."""
-        return float((self._field.misses(here, points) < self.settings.explained_within).mean())
+        """How well the map explains a scan."""
+        return max(0.0, self._field.agreement(here, points, self.settings.explained_within))
 
     def _judge(self, share: float, odometry: Pose, why: str = "") -> None:
         """Say whether the robot is localised."""
@@ -269,7 +271,7 @@ class Localizer:
         self._quality = share if self._anew else _MEMORY * self._quality + (1.0 - _MEMORY) * share
         self._anew = False
         if self._quality >= settings.good:
-            self._seen, self._moved_away = odometry, False
+            self._seen = odometry
         wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
         if self._quality < settings.poor or (self._quality < settings.good and self._status is not Status.OK):
             self._status = Status.ERROR
@@ -292,23 +294,28 @@ class Localizer:
     def _look_around(self, stamp_ns: int, here: Pose, share: float, odometry: Pose, points: Floats) -> None:
         """Look for places that explain the scan better, and put particles there."""
         settings = self.settings
-        pause = settings.search_every * min(4, 1 + self._fruitless // 4)
+        every = settings.search_every if self._quality >= settings.poor else settings.lost_search_every
+        pause = every * min(_PATIENCE, 1 + self._fruitless // _PATIENCE)
         if max(share, self._quality) >= settings.sure or (stamp_ns - self._searched_ns) / 1e9 < pause:
             return
         self._searched_ns = stamp_ns
         self.searches += 1
-        lost = self._quality < settings.poor
-        window = Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)
-        if lost and self._fruitless >= 2:
-            window = self._search.everywhere()
-        poses, scores = self._search.best(points, window)
-        shares = np.array([self._explained((pose[0], pose[1], pose[2]), points) for pose in poses])
-        better = shares >= max(share + settings.better, settings.poor)
-        if not better.any():
-            self._fruitless += 1
-            return
-        self._fruitless = 0
-        self._scatter(poses[better], scores[better] * min(1.0, settings.independent / len(points)), odometry)
+        lost = self._quality < settings.good
+        wanted = max(share + settings.better, settings.good) if lost else share + 2.0 * settings.better
+        near = Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)
+        windows = [near]
+        if self._quality < settings.poor and self._fruitless >= 2:
+            windows.append(Window(here.x, here.y, here.theta, settings.lost_reach, math.pi))
+        for window in windows:
+            poses, scores = self._search.best(points, window)
+            shares = np.array([self._explained((pose[0], pose[1], pose[2]), points) for pose in poses])
+            better = shares >= wanted
+            if better.any():
+                self._fruitless = 0
+                logs = scores[better] * min(1.0, settings.independent / len(points))
+                self._scatter(poses[better], logs, odometry)
+                return
+        self._fruitless += 1
 
     def _scatter(self, poses: Floats, logs: Floats, odometry: Pose) -> None:
         """Put particles at other poses; the next scan decides."""

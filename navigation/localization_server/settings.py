@@ -23,20 +23,22 @@ class Settings:
         update_angle: radians after which one is.
         initial_spread: standard deviations that a start without a covariance has: metres, radians.
         explained_within: metres from a wall within which the map explains a beam's end.
-        good: share of beams explained from which on the robot is localised.
+        good: share of beams explained, less those that speak against it, from which on the robot is localised.
         poor: share below which it is lost.
         sure: share from which on nobody looks for better places.
         better: how much larger another place's share must be.
         search_every: seconds between looks for better places, at least.
-        search_reach: metres around the estimate in which they are looked for; the whole map once that found none.
+        lost_search_every: the same of a robot that is lost.
+        search_reach: metres around the estimate in which they are looked for.
         search_turn: radians to each side.
+        lost_reach: metres in which, and in all directions, they are looked for by a robot that is lost.
         widest: metres that the particles' spread (standard deviation) may have where the robot is localised.
         scan_age: seconds after which a laser counts as silent.
         odometry_age: seconds after which odometry does.
     """
 
     particles: int = 1000
-    beams: int = 180
+    beams: int = 360
     holonomic: bool = False
     alphas: Alphas = (0.1, 0.1, 0.1, 0.1, 0.1)
     sigma: float = 0.08
@@ -51,8 +53,10 @@ class Settings:
     sure: float = 0.9
     better: float = 0.1
     search_every: float = 3.0
+    lost_search_every: float = 1.0
     search_reach: float = 4.0
     search_turn: float = 0.79
+    lost_reach: float = 12.0
     widest: float = 0.5
     scan_age: float = 1.0
     odometry_age: float = 1.0

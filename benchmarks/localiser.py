@@ -1,0 +1,202 @@
+"""How well our localiser holds: the simulated R1 drives about for minutes, with odometry that drifts.
+
+In lock-step, so that the figures hold on any machine. The encoders are wrong by 2 and 3 percent and by noise, the laser
+is R1's own, blind to the sides, with noise and lost echoes; people walk about, and crates stand where the map has none.
+The peer of each figure is the limit that it is to hold: 0.15 m and 5 degrees over 10 minutes, and the same within 60 s
+of driving from starts that are wrong by 3 m and 30 degrees.
+
+    python benchmarks/localiser.py [--json FILE] [--minutes 10] [--seeds 3] [--starts 10]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.config.sections.sim import EncodersSection, LaserSection, SimSection
+from navigation.algorithms.astar import astar
+from navigation.algorithms.distance_transform import distance_transform
+from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.scan import scan_points
+from navigation.localization_server.settings import Settings
+from navigation.pose import Pose, wrapped
+from sim import export
+from sim.base import Twist
+from sim.simulation import Simulation
+from yarp_compat.dev.mapgrid import MapFlag
+
+WORLDS = ("apartment", "lab")
+DRIFT = EncodersSection(scale=(0.02, 0.03), noise=0.02)
+LASER = LaserSection(kind="robot", beams=720, noise=0.01, dropouts=0.02)
+METRES, DEGREES, RECOVERY = 0.15, 5.0, 60.0
+_CLEAR = 0.35
+_AHEAD = 0.3
+_FAR = 2.0
+_PERSON = 0.8
+_STUCK = 6.0
+_TURN_FIRST = 0.8
+_CONTROL = 10
+"""Ticks of 10 ms from one command to the next."""
+
+
+class Tour:
+    """Drives a simulated robot from one random place to another, by the truth, so that the localiser steers nothing."""
+
+    def __init__(self, there: Simulation, seed: int) -> None:
+        self.there = there
+        self.grid = export.grid(there.plan, there.floor)
+        self._rng = np.random.default_rng(seed)
+        self._way: list[tuple[float, float]] = []
+        self._moved, self._at, self._backs = 0.0, (0.0, 0.0), 0.0
+
+    def steer(self) -> None:
+        """Command what leads on."""
+        x, y, yaw = self.there.base.pose()
+        now = self.there.time_ns / 1e9
+        if math.hypot(x - self._at[0], y - self._at[1]) > 0.1:
+            self._at, self._moved = (x, y), now
+        if now - self._moved > _STUCK:
+            self._way, self._moved, self._backs = [], now, now + 1.0
+        while self._way and math.hypot(self._way[0][0] - x, self._way[0][1] - y) < _AHEAD:
+            self._way.pop(0)
+        if not self._way:
+            self._way = self._next(x, y)
+        to_x, to_y = self._way[0]
+        error = wrapped(math.atan2(to_y - y, to_x - x) - yaw)
+        speed = 0.3 * math.cos(error) if abs(error) < _TURN_FIRST and not self._blocked(x, y, yaw) else 0.0
+        speed = -0.1 if now < self._backs else speed
+        self.there.command(Twist(speed, 0.0, max(-0.5, min(0.5, 1.5 * error))))
+
+    def _blocked(self, x: float, y: float, yaw: float) -> bool:
+        """Whether a person stands ahead."""
+        return any(
+            math.hypot(person.x - x, person.y - y) < _PERSON
+            and abs(wrapped(math.atan2(person.y - y, person.x - x) - yaw)) < 2 * _TURN_FIRST
+            for person in self.there.world.people.values()
+        )
+
+    def _next(self, x: float, y: float) -> list[tuple[float, float]]:
+        """A way to anywhere that is not near."""
+        weights = self._weights()
+        places = np.argwhere(weights > 0)
+        column, row = (int(v) for v in self.grid.cells_at((x, y)))
+        while True:
+            goal = places[self._rng.integers(len(places))]
+            way = astar(weights, (row, column), (int(goal[0]), int(goal[1])))
+            if way is not None and way.length > _FAR / self.grid.resolution:
+                centres = self.grid.centers_of(way.cells[::4, ::-1])
+                return [(float(px), float(py)) for px, py in centres[2:]]
+
+    def _weights(self) -> NDArray[np.uint8]:
+        """Where to drive: not where something stands, on the map or not."""
+        solid = self.grid.flags == MapFlag.WALL
+        rows, columns = np.indices(solid.shape)
+        middles = self.grid.centers_of(np.stack((columns, rows), axis=-1))
+        world = self.there.world
+        for piece in (*(crate.now() for crate in world.crates.values()), *world.leaves(is_open=False)):
+            solid |= np.hypot(middles[..., 0] - piece.x, middles[..., 1] - piece.y) < piece.reach
+        clear = distance_transform(solid) * self.grid.resolution
+        free = (self.grid.flags == MapFlag.FREE) & (clear > _CLEAR)
+        return np.where(free, np.where(clear > 2 * _CLEAR, 1, 4), 0).astype(np.uint8)
+
+
+def simulated(world: str, seed: int) -> Simulation:
+    """A world with everything that makes it hard."""
+    return Simulation(SimSection(plan=world, seed=seed, laser=LASER, encoders=DRIFT))
+
+
+def drive(tour: Tour, localizer: Localizer, seconds: float, costs: list[float]) -> Iterator[tuple[float, float, float]]:
+    """Drive, and say ten times a second how long it has been, and how far off the localiser is (m, degrees)."""
+    there = tour.there
+    begun = there.time_ns
+    last = -1
+    for n in range(round(seconds * 100)):
+        if n % _CONTROL == 0:
+            tour.steer()
+        there.tick()
+        found = there.estimate
+        localizer.odometry(Pose(*found.pose, stamp_ns=found.time_ns))
+        if there.scan.time_ns == last:
+            continue
+        last = there.scan.time_ns
+        points = scan_points(there.scan)
+        clock = time.perf_counter()
+        localizer.scan(last, points)
+        costs.append(time.perf_counter() - clock)
+        pose, truth = localizer.pose, there.base.pose()
+        assert pose is not None
+        metres = math.hypot(pose.x - truth.x, pose.y - truth.y)
+        yield (there.time_ns - begun) / 1e9, metres, abs(math.degrees(wrapped(pose.theta - truth.yaw)))
+
+
+def held(world: str, seed: int, minutes: float, settings: Settings) -> tuple[np.ndarray, list[float], Localizer]:
+    """The errors (n, 3: s, m, degrees) over a drive that began right."""
+    tour = Tour(simulated(world, seed), seed)
+    localizer = Localizer(tour.grid, settings, seed)
+    localizer.initial(Pose(*tour.there.base.pose()))
+    costs: list[float] = []
+    return np.array(list(drive(tour, localizer, minutes * 60.0, costs))), costs, localizer
+
+
+def recovered(world: str, seed: int, settings: Settings) -> tuple[float, Localizer]:
+    """Seconds of driving from a start that is wrong by 3 m and 30 degrees, until the limits hold for good (60 s)."""
+    rng = np.random.default_rng(1000 + seed)
+    tour = Tour(simulated(world, seed), seed)
+    for _ in range(round(10.0 * float(rng.random())) * 10):  # begin anywhere on the way
+        tour.steer()
+        tour.there.run(0.1)
+    truth = tour.there.base.pose()
+    away, turned = float(rng.uniform(0.0, math.tau)), math.radians(float(rng.choice([-30.0, 30.0])))
+    localizer = Localizer(tour.grid, settings, seed)
+    localizer.initial(Pose(truth.x + 3.0 * math.cos(away), truth.y + 3.0 * math.sin(away), truth.yaw + turned))
+    late = 0.0
+    for seconds, metres, degrees in drive(tour, localizer, 2 * RECOVERY, []):
+        if metres > METRES or degrees > DEGREES:
+            late = seconds
+    return late, localizer
+
+
+def rows(minutes: float, seeds: int, starts: int, settings: Settings) -> Iterator[Row]:
+    """All figures."""
+    for world in WORLDS:
+        runs = [held(world, seed, minutes, settings) for seed in range(seeds)]
+        errors = np.concatenate([run[0] for run in runs])
+        costs = np.concatenate([run[1] for run in runs]) * 1e3
+        name = f"{world}, {seeds} x {minutes:g} min"
+        for column, limit, unit in ((1, METRES, "m"), (2, DEGREES, "deg")):
+            for share in (50, 99, 100):
+                found = float(np.percentile(errors[:, column], share))
+                yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", found, limit, unit)
+        for share in (50, 99, 100):
+            yield Row(f"{name}: a scan, {share} %", float(np.percentile(costs, share)), 100.0, "ms")
+        if starts:
+            late = [recovered(world, seed, settings)[0] for seed in range(starts)]
+            for share in (50, 100):
+                found = float(np.percentile(late, share))
+                yield Row(f"{world}, {starts} wrong starts: found after, {share} %", found, RECOVERY, "s")
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_json_option(parser)
+    parser.add_argument("--minutes", type=float, default=10.0, help="of each drive")
+    parser.add_argument("--seeds", type=int, default=3, help="drives in each world")
+    parser.add_argument("--starts", type=int, default=10, help="wrong starts in each world")
+    options = parser.parse_args()
+    report(list(rows(options.minutes, options.seeds, options.starts, Settings())), options.json)
+
+
+if __name__ == "__main__":
+    main()

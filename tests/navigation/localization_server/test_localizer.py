@@ -1,0 +1,177 @@
+"""The localiser in the simulator, in lock-step: it holds, it comes back, and it says when it does not know."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.localiser import DEGREES, METRES, Tour, drive, simulated
+from bridge.config.sections.sim import LaserSection, SimSection
+from navigation.localization_server.localizer import Localizer, Status
+from navigation.localization_server.scan import scan_points
+from navigation.localization_server.settings import Settings
+from navigation.pose import Pose, wrapped
+from sim.base import Twist
+from sim.simulation import Simulation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+S = 1_000_000_000
+
+
+def tour(world: str = "lab", seed: int = 0) -> Tour:
+    return Tour(simulated(world, seed), seed)
+
+
+def truth(there: Tour) -> Pose:
+    return Pose(*there.there.base.pose())
+
+
+def off(localizer: Localizer, there: Tour) -> tuple[float, float]:
+    pose, true = localizer.pose, truth(there)
+    assert pose is not None
+    return pose.distance(true), abs(math.degrees(wrapped(pose.theta - true.theta)))
+
+
+def test_it_holds_while_odometry_drifts_away() -> None:
+    there = tour()
+    localizer = Localizer(there.grid)
+    start = truth(there)
+    localizer.initial(start)
+    errors = np.array([error for _, *error in drive(there, localizer, 20.0, [])])
+    assert errors[:, 0].max() < METRES
+    assert errors[:, 1].max() < DEGREES
+    drifted = start @ Pose(*there.there.estimate.pose)
+    assert abs(math.degrees(wrapped(drifted.theta - truth(there).theta))) > DEGREES  # else it shows nothing
+    found = localizer.estimate()
+    assert (found.status, found.reason) == (Status.OK, "")
+    assert found.quality > 0.7
+    assert 0.0 < math.sqrt(found.covariance[0, 0]) < METRES
+    cloud = localizer.cloud()
+    assert cloud.shape == (1000, 3)
+    assert np.hypot(*(cloud[:, :2].mean(axis=0) - truth(there)[:2])) < METRES
+
+
+@pytest.mark.parametrize("world", ["apartment", "lab"])
+def test_a_start_that_was_wrong_is_mended(world: str) -> None:
+    there = tour(world, 1)
+    localizer = Localizer(there.grid)
+    true = truth(there)
+    localizer.initial(Pose(true.x + 2.1, true.y - 2.1, true.theta + math.radians(30.0)))
+    for _, metres, degrees in drive(there, localizer, 60.0, []):
+        if metres < METRES and degrees < DEGREES and localizer.estimate().status is Status.OK:
+            return
+    pytest.fail(f"still {off(localizer, there)} off")
+
+
+def standing(localizer: Localizer, there: Tour, scans: int) -> None:
+    """Take up scans of a robot that stands, as of one a tenth of a second."""
+    points = scan_points(there.there.scan)
+    for n in range(scans):
+        stamp = there.there.time_ns + n * S // 10
+        localizer.odometry(Pose(0.0, 0.0, 0.0, stamp))
+        localizer.scan(stamp, points)
+
+
+def test_it_says_what_it_lacks() -> None:
+    there = tour()
+    localizer = Localizer(there.grid)
+    assert localizer.pose is None
+    assert localizer.check(0) == (Status.NOT_YET, "no start was given")
+    localizer.initial(truth(there))
+    assert localizer.check(0) == (Status.NOT_YET, "odometry is not heard")
+    standing(localizer, there, 1)
+    now = there.there.time_ns
+    assert localizer.check(now) == (Status.OK, "")
+    assert localizer.check(now + 3 * S // 2) == (Status.ERROR, "odometry is silent for 1.5 s")
+    localizer.odometry(Pose(0.0, 0.0, 0.0, now + 3 * S // 2))
+    assert localizer.check(now + 3 * S // 2) == (Status.ERROR, "the laser is silent for 1.5 s")
+
+
+def test_frozen_odometry_is_told_and_the_laser_finds_the_robot_all_the_same() -> None:
+    there = tour()
+    localizer = Localizer(there.grid)
+    localizer.initial(truth(there))
+    standing(localizer, there, 5)
+    there.there.teleport(there.there.base.pose()._replace(x=9.6, y=9.0, yaw=2.5))
+    there.there.run(0.2)
+    standing(localizer, there, 8)
+    status, reason = localizer.check(there.there.time_ns)
+    assert status is Status.ERROR
+    assert "odometry says that the base has not moved: is it frozen, or was the robot carried?" in reason
+    for _ in range(40):
+        standing(localizer, there, 10)
+        there.there.run(1.0)
+        if localizer.estimate().status is Status.OK:
+            break
+    assert off(localizer, there)[0] < METRES
+
+
+def test_a_laser_that_sees_nothing_is_no_proof() -> None:
+    there = tour()
+    localizer = Localizer(there.grid)
+    localizer.initial(truth(there))
+    for n in range(20):
+        localizer.odometry(Pose(0.1 * n, 0.0, 0.0, n * S // 10))
+        assert not localizer.scan(n * S // 10, np.empty((0, 2)))
+    assert localizer.check(2 * S) == (Status.ERROR, "the laser sees nothing: all its beams are empty")
+
+
+def test_a_map_that_lies_turned() -> None:
+    there = Simulation(SimSection(plan="lab", laser=LaserSection(beams=180)))
+    grid = Tour(there, 0).grid
+    # the same walls in a frame that is turned by 40 degrees and moved: what ROS calls its origin is known
+    origin = Pose(*grid.origin.to_ros())
+    moved = Pose(3.0, -2.0, math.radians(40.0))
+    turned = MapGrid2D.of(grid.flags.copy(), name="turned", resolution=grid.resolution)
+    turned.m_origin = type(turned.m_origin).from_ros(*(moved @ origin)[:3])
+    localizer = Localizer(turned)
+    true = moved @ Pose(*there.base.pose())
+    localizer.initial(true @ Pose(0.2, -0.1, 0.1), np.diag([0.04, 0.04, 0.01]))
+    for n in range(6):
+        localizer.odometry(Pose(0.0, 0.0, 0.0, n * S))
+        localizer._forced = True  # as if it moved
+        localizer.scan(n * S, scan_points(there.scan))
+    pose = localizer.pose
+    assert pose is not None
+    assert pose.distance(true) < 0.1
+    assert abs(wrapped(pose.theta - true.theta)) < 0.05
+    assert np.hypot(*(localizer.cloud()[:, :2].mean(axis=0) - true[:2])) < 0.1
+
+
+def test_maps_on_which_nobody_can_be_localised() -> None:
+    with pytest.raises(ValueError, match="the map 'empty': it has no walls"):
+        Localizer(MapGrid2D.of(np.full((9, 9), MapFlag.FREE, np.uint8), name="empty", resolution=0.1))
+
+
+def test_starts_that_are_none() -> None:
+    localizer = Localizer(tour().grid)
+    with pytest.raises(ValueError, match="cannot begin"):
+        localizer.initial(Pose(math.nan, 0.0, 0.0))
+
+
+def test_points_of_a_scan_are_in_the_base_s_frame() -> None:
+    class Scan:
+        first, step, nearest, farthest = 0.0, math.pi / 2, 0.5, 9.0
+        ranges = np.array([1.0, math.nan, 0.2, math.inf, 2.0, 9.0], np.float32)
+
+    points = scan_points(Scan(), Pose(0.1, 0.0, math.pi))
+    assert points == pytest.approx(np.array([[-0.9, 0.0], [-1.9, 0.0]]), abs=1e-6)
+
+
+def test_a_holonomic_base_goes_sideways() -> None:
+    settings = Settings(holonomic=True)
+    sim = Simulation(SimSection(plan="lab", robot="ikart_v1", laser=LaserSection(beams=180)))
+    localizer = Localizer(Tour(sim, 0).grid, settings)
+    localizer.initial(Pose(*sim.base.pose()))
+    for _ in range(400):
+        sim.command(Twist(0.1, 0.15, 0.05))
+        sim.tick()
+        localizer.odometry(Pose(*sim.estimate.pose, stamp_ns=sim.time_ns))
+        if sim.scan.time_ns == sim.time_ns:
+            localizer.scan(sim.time_ns, scan_points(sim.scan))
+    pose = localizer.pose
+    assert pose is not None
+    assert pose.distance(Pose(*sim.base.pose())) < METRES
+    assert localizer.updates > 3
