@@ -93,3 +93,15 @@ def test_poses_that_are_none(grid: OccupancyMap) -> None:
 def test_maps_that_are_none(rows: int, resolution: float) -> None:
     with pytest.raises(ValueError, match="a map has cells"):
         OccupancyMap(rows, 10, resolution, (0.0, 0.0))
+
+
+@pytest.mark.parametrize(("ranges", "free"), [((2.0, 2.0, 2.0), True), ((2.0, 1.0, 2.0), False), ((1.0, 2.0), False)])
+def test_a_beam_passes_only_as_far_as_those_beside_it(
+    grid: OccupancyMap, ranges: tuple[float, ...], free: bool
+) -> None:
+    # as along a wall: what a beam seems to pass between two hits is the wall
+    grid.insert((0.5, 0.5, 0.0), np.array(ranges), 0.0, 0.1, 10.0)
+    last = 0.1 * (len(ranges) - 1)
+    for way, passed in ((0.8, True), (1.5, free)):
+        at = int((0.5 + way * math.sin(last) + 0.525) / CELL), int((0.5 + way * math.cos(last) + 0.525) / CELL)
+        assert (grid.odds[at] < 0.0) == passed

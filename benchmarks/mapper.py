@@ -1,0 +1,247 @@
+"""Mapper2D: scans a second beside an octomap, and whether its maps match the plan that the simulator drives in.
+
+The scans are those of a tour that the simulated R1 drives, each with its true pose. Of each map are told the occupied
+cells that lie within two cells of what stands on the floor, and the share of the surface in the laser's sight that the
+map has as occupied. The peer is left out where it is not installed: ``pip install pyoctomap``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.rows import Row, add_json_option, report
+from bridge.config.sections.sim import SimSection
+from navigation.algorithms.astar import astar
+from navigation.algorithms.distance_transform import distance_transform
+from navigation.algorithms.shortcut import shortcut
+from navigation.mapper2d.mapper import Mapper, Settings
+from navigation.pose import Pose, wrapped
+from sim import plans
+from sim.base import Twist
+from sim.export import grid as true_grid
+from sim.laser import Scan
+from sim.laser_kernel import cast
+from sim.plan import Plan
+from sim.simulation import Simulation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+Floats = NDArray[np.float64]
+
+PLANS = ("apartment", "lab")
+APART = 2.0
+"""Metres between the points of a tour."""
+
+CLEARANCE = 0.4
+"""Metres between a tour and walls."""
+
+FARTHEST = 10.0
+_DENSE = 14_400
+_FINE = 0.01
+
+
+class Seen(NamedTuple):
+    """A scan and where it was made."""
+
+    pose: Pose
+    scan: Scan
+
+
+def empty(name: str) -> Plan:
+    """A plan without people and without things that can be pushed about."""
+    plan = plans.load(name)
+    floors = {
+        key: floor.model_copy(update={"people": (), "boxes": tuple(b for b in floor.boxes if b.mass is None)})
+        for key, floor in plan.floors.items()
+    }
+    return plan.model_copy(update={"floors": floors})
+
+
+def tour(simulation: Simulation, seconds: float = math.inf) -> Iterator[Seen]:
+    """Drive along all of the floor, in lock-step, for so long at most."""
+    grid = true_grid(simulation.plan, simulation.floor)
+    walls = grid.flags != MapFlag.FREE
+    open_ = (distance_transform(walls) * grid.resolution > CLEARANCE).astype(np.uint8)
+    end = simulation.time_ns + min(seconds, 1e6) * 1e9
+    for place in _points(open_, round(APART / grid.resolution)):
+        x, y, _ = simulation.base.pose()
+        here = grid.cells_at((x, y))
+        way = astar(open_, (int(here[1]), int(here[0])), place)
+        if way is None:
+            continue  # a corner that nobody comes to
+        for target in grid.centers_of(shortcut(open_, way.cells)[1:, ::-1]):
+            for seen in _driven(simulation, *target):
+                yield seen
+                if simulation.time_ns >= end:
+                    return
+
+
+def _points(open_: NDArray[np.uint8], step: int) -> Iterator[tuple[int, int]]:
+    """Cells (row, column) of a lattice, to and fro; where one is not open, its nearest neighbour that is."""
+    near = step // 3
+    for turn, row in enumerate(range(step // 2, len(open_), step)):
+        columns = range(step // 2, open_.shape[1], step)
+        for column in columns if turn % 2 == 0 else reversed(columns):
+            low_row, low_column = max(0, row - near), max(0, column - near)
+            found = np.argwhere(open_[low_row : row + near + 1, low_column : column + near + 1])
+            if len(found):
+                there = np.add(found, (low_row, low_column))
+                best = there[np.abs(there - (row, column)).sum(axis=1).argmin()]
+                yield int(best[0]), int(best[1])
+
+
+def _driven(simulation: Simulation, x: float, y: float) -> Iterator[Seen]:
+    """Drive straight to a place, unless that takes too long; each new scan on the way."""
+    last = None
+    start = simulation.base.pose()
+    patience = simulation.time_ns + (10.0 + math.hypot(x - start.x, y - start.y) / 0.1) * 1e9
+    while simulation.time_ns < patience:
+        pose = Pose(*simulation.base.pose())
+        way = math.hypot(x - pose.x, y - pose.y)
+        if way < 0.1:
+            return
+        off = wrapped(math.atan2(y - pose.y, x - pose.x) - pose.theta)
+        ahead = 0.0 if abs(off) > 0.3 else min(0.5, way)
+        simulation.command(Twist(ahead, 0.0, max(-1.0, min(1.0, 2.0 * off))))
+        simulation.tick()
+        if simulation.scan is not last:
+            last = simulation.scan
+            if last.time_ns == simulation.time_ns:
+                yield Seen(Pose(*simulation.base.pose(), simulation.time_ns), last)
+
+
+def mapped(scans: list[Seen], resolution: float = 0.05) -> Mapper:
+    """The map of a tour."""
+    mapper = Mapper(Settings(resolution=resolution, farthest=FARTHEST))
+    for pose, scan in scans:
+        mapper.scan(pose, scan.ranges, scan.first, scan.step, scan.farthest)
+    return mapper
+
+
+class Match(NamedTuple):
+    """How a map matches what stands on a floor.
+
+    ``near``: share of the occupied cells whose middle is within two cells of a surface. ``found``: share of the
+    surface that was in sight which is within one cell of an occupied one.
+    """
+
+    near: float
+    found: float
+
+
+def match(grid: MapGrid2D, simulation: Simulation, poses: list[Pose]) -> Match:
+    """Compare a map with the surfaces of a floor on which nothing moves."""
+    segments, circles = simulation.world.seen()
+    rows, columns = np.nonzero(grid.flags == MapFlag.WALL)
+    centers = grid.centers_of(np.stack((columns, rows), -1))
+    near = float((_distance(centers, segments, circles) <= 2.0 * grid.resolution).mean())
+    surface = _in_sight(segments, circles, poses)
+    apart = distance_transform(grid.flags == MapFlag.WALL)
+    cells = grid.cells_at(surface)
+    there = (cells >= 0).all(axis=1) & (cells < (grid.width(), grid.height())).all(axis=1)
+    hit = np.zeros(len(surface), np.bool_)
+    hit[there] = apart[cells[there, 1], cells[there, 0]] < 1.5
+    return Match(near, float(hit.mean()))
+
+
+def _distance(points: Floats, segments: Floats, circles: Floats) -> Floats:
+    """Each point's distance to the nearest surface, metres."""
+    best = np.full(len(points), math.inf)
+    for x, y, to_x, to_y in segments:
+        way = np.array((to_x - x, to_y - y))
+        along = np.clip((points - (x, y)) @ way / max(way @ way, 1e-12), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - (x, y) - along[:, None] * way, axis=1))
+    for x, y, radius in circles:
+        best = np.minimum(best, np.abs(np.linalg.norm(points - (x, y), axis=1) - radius))
+    return best
+
+
+def _in_sight(segments: Floats, circles: Floats, poses: list[Pose]) -> Floats:
+    """The centimetres of surface that a laser at these poses has in sight, (n, 2) metres: by very many beams."""
+    step = math.tau / _DENSE
+    angles = np.arange(_DENSE) * step
+    beams = np.ascontiguousarray(np.stack((np.cos(angles), np.sin(angles)), axis=1))
+    left, bottom = np.array([(pose.x, pose.y) for pose in poses]).min(axis=0) - FARTHEST
+    right, top = np.array([(pose.x, pose.y) for pose in poses]).max(axis=0) + FARTHEST
+    out = np.empty(_DENSE)
+    found = np.zeros((round((right - left) / _FINE) + 2, round((top - bottom) / _FINE) + 2), np.bool_)
+    for pose in poses:
+        cast()(segments, circles, pose.x, pose.y, 0.0, beams, 0.0, step, FARTHEST, out)
+        hit = out <= FARTHEST
+        ends = (np.array((pose.x - left, pose.y - bottom)) + out[hit, None] * beams[hit]) / _FINE
+        found[tuple(np.round(ends).astype(np.int64).T)] = True
+    surface: Floats = np.argwhere(found) * _FINE + (left, bottom)
+    return surface
+
+
+def quality(name: str, seconds: float = math.inf) -> tuple[Match, list[Seen]]:
+    """Drive a tour, and compare its map with the plan."""
+    simulation = Simulation(SimSection.model_validate({"laser": {"farthest": FARTHEST}}), empty(name))
+    scans = list(tour(simulation, seconds))
+    return match(mapped(scans).grid(), simulation, [seen.pose for seen in scans]), scans
+
+
+def ours(scans: list[Seen]) -> float:
+    """Scans a second."""
+    mapped(scans[:2])  # compiled
+    begin = time.perf_counter()
+    mapped(scans)
+    return len(scans) / (time.perf_counter() - begin)
+
+
+def octomap(scans: list[Seen], seconds: float) -> float:
+    """The peer's scans a second: it is given the same beams, and so long."""
+    tree: Any = importlib.import_module("pyoctomap").OcTree(0.05)
+    begin, count = time.perf_counter(), 0
+    for pose, scan in scans:
+        angles = pose.theta + scan.first + scan.step * np.arange(scan.ranges.size)
+        hit = np.isfinite(scan.ranges)
+        ends = np.zeros((int(hit.sum()), 3))
+        ends[:, 0] = pose.x + scan.ranges[hit] * np.cos(angles[hit])
+        ends[:, 1] = pose.y + scan.ranges[hit] * np.sin(angles[hit])
+        tree.insertPointCloud(ends, np.array((pose.x, pose.y, 0.0)), max_range=FARTHEST)
+        count += 1
+        if time.perf_counter() - begin > seconds:
+            break
+    return count / (time.perf_counter() - begin)
+
+
+def main() -> int:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--plans", nargs="+", default=list(PLANS), metavar="PLAN")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="of simulated time a tour; else all of it")
+    add_json_option(parser)
+    args = parser.parse_args()
+    rows = []
+    for name in args.plans:
+        found, scans = quality(name, args.seconds)
+        driven = f"{name}, {len(scans) * 0.1:.0f} s"
+        rows.append(
+            Row(f"{driven}, occupied cells within 2 cells of a surface", 100.0 * found.near, 100.0, "%", "more")
+        )
+        rows.append(Row(f"{driven}, surface in sight that is found", 100.0 * found.found, 95.0, "%", "more"))
+        try:
+            rate = octomap(scans, 10.0)
+        except ImportError:
+            print("pyoctomap is not installed: pip install pyoctomap", file=sys.stderr)
+        else:
+            rows.append(Row(f"{name}, 720 beams, octomap", ours(scans), rate, "scans/s", "more"))
+    report(rows, args.json)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,241 @@
+"""The map that Mapper2D makes: what the laser found, and over it what people painted."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from navigation.algorithms.occupancy import LEAST, MOST, OccupancyMap
+from navigation.maps.turned import turned
+from navigation.pose import Pose
+from yarp_compat.dev.mapflag import UNKNOWN, MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+PAINTS = {"wall": MapFlag.WALL, "free": MapFlag.FREE, "unknown": MapFlag.UNKNOWN, "keepout": MapFlag.KEEP_OUT}
+"""What can be painted, by the names of upstream's ``set_pixel_type``."""
+
+MOST_BRUSH = 200
+_BARE = 255
+"""Nobody painted here."""
+
+_STEP = 5.0
+"""Metres by which the map grows at a side, so that it does not at every scan."""
+
+_SURE = 1e-3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a map is made by.
+
+    Attributes:
+        name: the map's.
+        width: metres at the start, about the first pose.
+        height: likewise.
+        resolution: metres a cell.
+        farthest: metres beyond which a beam says nothing.
+        largest: metres that a side grows to.
+    """
+
+    name: str = "map"
+    width: float = 10.0
+    height: float = 10.0
+    resolution: float = 0.05
+    farthest: float = 10.0
+    largest: float = 200.0
+
+
+class Mapper:
+    """Makes a map of scans whose poses are known. It has no thread and no clock of its own.
+
+    Args:
+        settings: what it is made by.
+
+    Attributes:
+        name: the map's; may be changed.
+        mapping: whether scans are taken.
+        scans: how many were taken into this map.
+        full: whether the last one reached beyond what the map may grow to.
+        enlarged: metres around obstacles that are marked on the maps that are given out.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings, self.name = settings, settings.name
+        self.mapping = True
+        self.enlarged = 0.0
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin a new map."""
+        self.scans, self.full = 0, False
+        self._begin((0.0, 0.0))
+
+    def scan(self, pose: Pose, ranges: NDArray[np.floating], first: float, step: float, farthest: float) -> bool:
+        """Take a scan; whether it was taken.
+
+        Args:
+            pose: of the laser on the map.
+            ranges: metres, one a beam. Infinite: there is nothing within ``farthest``; NaN: nothing is known.
+            first: the first beam's angle from the laser's direction, radians.
+            step: the angle from a beam to the next.
+            farthest: metres that the laser measures.
+
+        Raises:
+            ValueError: the pose is not finite.
+        """
+        if not self.mapping:
+            return False
+        if not np.isfinite(pose[:3]).all():
+            raise ValueError(f"a scan's pose is finite, not {pose[:3]}")
+        beams: NDArray[np.float64] = np.asarray(ranges, np.float64)
+        farthest = min(farthest, self.settings.farthest)
+        if not self.scans and not self._known():
+            self._begin((pose.x, pose.y))
+        self._reach(pose, beams, first + step * np.arange(beams.size), farthest)
+        self._map.insert((pose.x, pose.y, pose.theta), beams, first, step, farthest)
+        self.scans += 1
+        return True
+
+    def enlarge(self, metres: float) -> None:
+        """Add so much of the unknown at each side.
+
+        Raises:
+            ValueError: that is not above 0, or the map would be too large.
+        """
+        if not metres > 0.0:
+            raise ValueError(f"a map is enlarged by metres above 0, not by {metres:g}")
+        cells = math.ceil(min(metres, 1e6) / self.settings.resolution)
+        if not self._grow(cells, cells, cells, cells):
+            raise ValueError(f"the map would have a side of more than {self.settings.largest:g} m (modules.mapper2d)")
+
+    def paint(self, at: tuple[float, float], flag: MapFlag, brush: int, to: tuple[float, float] | None = None) -> int:
+        """Paint a square, or a line of squares; how many cells that were.
+
+        What is painted as wall, free or keep-out stays so whatever the laser finds; what is painted as unknown is
+        forgotten, and learnt anew.
+
+        Args:
+            at: its middle, metres.
+            flag: one of `PAINTS`.
+            brush: cells along a side.
+            to: where the line ends.
+
+        Raises:
+            ValueError: the place is not on the map, or the brush is none.
+        """
+        if not 1 <= brush <= MOST_BRUSH:
+            raise ValueError(f"a brush has 1 to {MOST_BRUSH} cells, not {brush}")
+        (x, y), (end_x, end_y) = self._cell(at), self._cell(to or at)
+        count = max(abs(end_x - x), abs(end_y - y)) + 1
+        painted = np.zeros(self._paint.shape, np.bool_)
+        for share in np.linspace(0.0, 1.0, count):
+            column, row = round(x + share * (end_x - x)), round(y + share * (end_y - y))
+            low_row, low_column = max(0, row - brush // 2), max(0, column - brush // 2)
+            painted[low_row : row - brush // 2 + brush, low_column : column - brush // 2 + brush] = True
+        self._paint[painted] = _BARE if flag == MapFlag.UNKNOWN else flag
+        if flag == MapFlag.UNKNOWN:
+            self._map.odds[painted] = 0.0
+        return int(painted.sum())
+
+    def grid(self) -> MapGrid2D:
+        """The map as it is now; a copy."""
+        found = self._map.occupancy()
+        occupancy = found.view(np.uint8)  # -1 is 255
+        flags = np.where(found == 100, MapFlag.WALL, np.where(found == 0, MapFlag.FREE, MapFlag.UNKNOWN))
+        for flag, value in ((MapFlag.WALL, 100), (MapFlag.FREE, 0)):
+            occupancy[self._paint == flag] = value
+        flags = np.where(self._paint == _BARE, flags, self._paint).astype(np.uint8)
+        x, y = self._map.origin
+        made = MapGrid2D.of(
+            flags[::-1].copy(), occupancy[::-1].copy(),
+            name=self.name, resolution=self.settings.resolution, origin=(x, y, 0.0),
+        )  # fmt: skip
+        if self.enlarged > 0.0:
+            made.enlargeObstacles(self.enlarged)
+        return made
+
+    def load(self, grid: MapGrid2D) -> None:
+        """Go on with another map; its cells' size must be ours.
+
+        Walls and free cells of it are as if the laser had found them, keep-out cells as if they had been painted.
+
+        Raises:
+            ValueError: its cells have another size, or it is too large.
+        """
+        grid = turned(grid)
+        if abs(grid.resolution - self.settings.resolution) > 1e-6:
+            raise ValueError(
+                f"the map's cells are of {grid.resolution:g} m, Mapper2D's of {self.settings.resolution:g} m: "
+                "set modules.mapper2d.resolution"
+            )
+        if max(grid.getSize_in_meters()) > self.settings.largest + _SURE:
+            raise ValueError(f"the map is larger than {self.settings.largest:g} m (modules.mapper2d.largest)")
+        x, y, _ = grid.getOrigin()
+        self._map = OccupancyMap(grid.height(), grid.width(), self.settings.resolution, (x, y))
+        flags, occupancy = grid.flags[::-1], grid.occupancy[::-1]
+        known = np.clip(occupancy, 1, 99) / 100.0
+        odds = np.where(occupancy == UNKNOWN, 0.0, np.clip(np.log(known / (1.0 - known)), LEAST, MOST))
+        odds[flags == MapFlag.WALL], odds[flags == MapFlag.FREE] = MOST, LEAST
+        self._map.odds[:] = odds
+        self._paint = np.where(flags == MapFlag.KEEP_OUT, np.uint8(MapFlag.KEEP_OUT), np.uint8(_BARE))
+        self.name, self.scans, self.full = grid.name or self.name, 0, False
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height, metres."""
+        rows, columns = self._map.odds.shape
+        return columns * self.settings.resolution, rows * self.settings.resolution
+
+    def _begin(self, middle: tuple[float, float]) -> None:
+        """An empty map about a place, its corners at whole cells so that maps of one robot fit on each other."""
+        cell = self.settings.resolution
+        columns, rows = (max(1, round(size / cell)) for size in (self.settings.width, self.settings.height))
+        origin = tuple(round(at / cell - cells / 2) * cell for at, cells in zip(middle, (columns, rows), strict=True))
+        self._map = OccupancyMap(rows, columns, cell, (origin[0], origin[1]))
+        self._paint = np.full((rows, columns), _BARE, np.uint8)
+
+    def _known(self) -> bool:
+        return bool(self._map.odds.any() or (self._paint != _BARE).any())
+
+    def _reach(self, pose: Pose, ranges: NDArray[np.float64], angles: NDArray[np.float64], farthest: float) -> None:
+        """Grow until the robot and all that it sees is on the map, as far as the map may."""
+        hits = (ranges > 0.0) & (ranges <= farthest)
+        angles = angles[hits] + pose.theta
+        x = np.append(pose.x + ranges[hits] * np.cos(angles), pose.x)
+        y = np.append(pose.y + ranges[hits] * np.sin(angles), pose.y)
+        cell, (left, bottom) = self.settings.resolution, self._map.origin
+        rows, columns = self._map.odds.shape
+        beyond = (
+            (bottom - y.min()) / cell,
+            (y.max() - bottom) / cell - rows + 1,
+            (left - x.min()) / cell,
+            (x.max() - left) / cell - columns + 1,
+        )
+        self.full = False
+        if max(beyond) > 0.0:
+            step = math.ceil(_STEP / cell)
+            fine = [max(0, math.ceil(side)) for side in beyond]
+            self.full = not (self._grow(*(-(-side // step) * step for side in fine)) or self._grow(*fine))
+
+    def _grow(self, below: int, above: int, left: int, right: int) -> bool:
+        """Add cells at the sides; False where the map would be too large, and then nothing is done."""
+        rows, columns = self._map.odds.shape
+        most = self.settings.largest / self.settings.resolution + _SURE
+        if max(rows + below + above, columns + left + right) > most:
+            return False
+        self._map.grow(below, above, left, right)
+        self._paint = np.pad(self._paint, ((below, above), (left, right)), constant_values=_BARE)
+        return True
+
+    def _cell(self, place: tuple[float, float]) -> tuple[int, int]:
+        """Column and row of a place."""
+        rows, columns = self._map.odds.shape
+        at = [
+            (value - origin) / self.settings.resolution for value, origin in zip(place, self._map.origin, strict=True)
+        ]
+        if not (0.0 <= at[0] < columns and 0.0 <= at[1] < rows):
+            raise ValueError(f"{place[0]:g}, {place[1]:g} m is not on the map")
+        return int(at[0]), int(at[1])

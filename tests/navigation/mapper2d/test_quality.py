@@ -1,0 +1,15 @@
+"""Maps of the simulator's floors match their plans; `benchmarks/mapper.py` drives all of both floors."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.mapper import quality
+
+
+@pytest.mark.parametrize(("plan", "seconds"), [("apartment", 12.0), ("lab", 12.0)])
+def test_a_maps_walls_are_the_plans(plan: str, seconds: float) -> None:
+    found, scans = quality(plan, seconds)
+    assert len(scans) >= 10 * (seconds - 1.0)
+    assert found.near == 1.0
+    assert found.found >= 0.95
