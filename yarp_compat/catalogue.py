@@ -11,12 +11,19 @@ _PLACES = {
     "dev.frametransform": "FrameTransform",
     "dev.frametransform_client": "TransformClient",
     "dev.iframetransform": "IFrameTransform",
+    "dev.ilocalization2d": "LocalizationStatusEnum",
+    "dev.inavigation2d": "NavigationMapTypeEnum NavigationStatusEnum TrajectoryTypeEnum statusToString stringToStatus",
     "dev.laserscan": "LaserMeasurementData LaserScan2D",
+    "dev.localization2d_client": "ILocalization2D Localization2DClient",
+    "dev.localization2d_server": "Localization2DServer",
     "dev.locations": "Map2DArea Map2DLocation Map2DObject Map2DPath",
     "dev.map2d_client": "IMap2D Map2DClient",
     "dev.mapflag": "MapFlag",
     "dev.mapgrid": "MapGrid2D",
     "dev.mapinfo": "MapGrid2DInfo MapGrid2DOrigin",
+    "dev.navigation2d": "INavigation2D",
+    "dev.navigation2d_client": "Navigation2DClient",
+    "dev.navigation2d_server": "Navigation2DServer",
     "dev.odometry": "MobileBaseVelocity OdometryData",
     "dev.returnvalue": "ReturnValue",
     "os.bottle": "Bottle",
@@ -72,6 +79,16 @@ _MODULES = ("aio", "rosmsg")
 _FAMILIES = ("BufferedPort", "TypedReader")
 """``BufferedPortBottle`` is a ``BufferedPort`` of ``Bottle``; to who reads, that is a ``TypedReaderBottle``."""
 
+_ENUMERATORS = {
+    "navigation_status_": "NavigationStatusEnum",
+    "localization_status_": "LocalizationStatusEnum",
+    "global_map": "NavigationMapTypeEnum",
+    "local_map": "NavigationMapTypeEnum",
+    "global_trajectory": "TrajectoryTypeEnum",
+    "local_trajectory": "TrajectoryTypeEnum",
+}
+"""Enumerations whose members the bindings give by themselves: what they begin with."""
+
 _INSTEAD = {
     r"PolyDriver|Drivers|IFrame(Grabber|Writer).*|I[A-Z]\w*(Control|Encoders|Sensor|Limits|Info|Mode)\w*": (
         "there are no device drivers in pure Python; talk to a device's ports, or use the clients of yarp_compat.dev"
@@ -122,6 +139,9 @@ def _of_family(name: str) -> Any:
         return type(name, (find("TypedReaderCallback"),), {"__doc__": f"A callback for a BufferedPort{data}."})
     if name.startswith("VOCAB_PIXEL_"):
         return getattr(find("PixelCode"), name.removeprefix("VOCAB_PIXEL_"), None)
+    for start, kind in _ENUMERATORS.items():
+        if name.startswith(start):
+            return getattr(find(kind), name, None)
     owner, _, method = name.partition("_")
     if method and owner in _WHERE:
         return getattr(find(owner), method, None)

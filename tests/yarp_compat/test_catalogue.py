@@ -48,6 +48,15 @@ def test_what_is_missing_is_said(name: str, instead: str) -> None:
         getattr(yarp, name)
 
 
+def test_enumerators_stand_by_themselves() -> None:
+    assert yarp.navigation_status_moving is yarp.NavigationStatusEnum.navigation_status_moving
+    assert yarp.localization_status_localized_ok is yarp.LocalizationStatusEnum.localization_status_localized_ok
+    assert yarp.local_map is yarp.NavigationMapTypeEnum.local_map
+    assert yarp.global_trajectory is yarp.TrajectoryTypeEnum.global_trajectory
+    with pytest.raises(AttributeError):
+        _ = yarp.navigation_status_nonsense
+
+
 def test_families() -> None:
     assert issubclass(yarp.BufferedPortImageRgb, yarp.BufferedPort)
     assert yarp.BufferedPortImageRgb is yarp.BufferedPortImageRgb

@@ -23,9 +23,11 @@ from yarp_compat.dev.navigation2d_server import Navigation2DServer
 from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 from yarp_compat.dev.server import Server
+from yarp_compat.dev.stream import Stream
+from yarp_compat.naming.errors import PortError
 from yarp_compat.os.stdvector import BVector, SVector
 from yarp_compat.ports.naming import LocalNaming
-from yarp_compat.pythonic import Client
+from yarp_compat.pythonic import Client, Writer
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.sig.vec2d import Vec2D
 from yarp_compat.wire.generation import Generation, Generations
@@ -233,6 +235,25 @@ def test_a_server_that_is_not_there(make_port: MakePort, naming: LocalNaming, ro
         port.close()
         assert client.stopNavigation() == unreached
         assert client.getNavigationStatus() is NavigationStatusEnum.navigation_status_error
+
+
+def test_streams(make_port: MakePort, naming: LocalNaming) -> None:
+    with (
+        Writer("/loc/streaming:o", naming=naming) as writer,
+        Stream("/loc/streaming:o", Map2DLocation, strict=True, naming=naming) as positions,
+    ):
+        assert positions.read_now() is None
+        for place, envelope in ((KITCHEN, "7 12.5"), (Map2DLocation("", math.nan, math.nan, math.nan), "")):
+            assert writer.write(place, envelope, strict=True)
+        each = iter(positions)
+        assert next(each) == (KITCHEN, 12.5)
+        place, stamp = next(each)
+        assert math.isnan(place.x)
+        assert stamp == 0
+        positions.close()
+        assert list(each) == []
+    with pytest.raises(PortError, match="nowhere"), Stream("/nowhere", Map2DLocation, naming=naming):
+        pass
 
 
 class Forgetful(ILocalization2DMsgs):
