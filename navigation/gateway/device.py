@@ -136,10 +136,11 @@ class Device:
         return robot
 
     def _where_to(self) -> Map2DLocation | None:
-        drive, told = self._gateway.drive, self._gateway.link.pose
+        drive, link = self._gateway.drive, self._gateway.link
         if drive is not None:
             return self._places.location(drive.targets[-1])
-        return self._places.location(told) if self._gateway.driving and told is not None else None
+        told = link.pose(link.others[-1]) if link.others else None
+        return None if told is None else self._places.location(told)
 
     def _way(self) -> list[Map2DLocation]:
         """The planner's path, or the goals that are left where it tells none."""

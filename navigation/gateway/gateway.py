@@ -132,8 +132,7 @@ class Gateway:
     def stop(self) -> str:
         """Have the planner give up all goals, also those that others gave it; what was done, in words."""
         others = len(self.link.others)
-        if others:
-            self.link.cancel_all()
+        self.link.cancel_all()  # also what is not in its list yet
         if self.drive is not None:
             self._give_up("it was stopped")
             return "the goal is canceled"
@@ -194,9 +193,10 @@ class Gateway:
         """How it is getting on, and why."""
         drive, told = self.drive, self.link.told
         if drive is None:
-            if not self.link.others:
+            others = self.link.others
+            if not others:
                 return self._last
-            state, why = told() or (State.MOVING, "")
+            state, why = told(others[-1]) or (State.MOVING, "")
             return state, why or f"a goal that {self.planner} was given itself"
         if drive.stopping:
             return State.MOVING, f"stopping: {drive.stopping}"
@@ -220,7 +220,7 @@ class Gateway:
             return status_message(stamp, state, why, goal_id=drive.id, goal=drive.target.stamped(self.robot()))
         others = self.link.others
         if others:
-            return status_message(stamp, state, why, goal_id=others[-1], goal=self.link.pose)
+            return status_message(stamp, state, why, goal_id=others[-1], goal=self.link.pose(others[-1]))
         return status_message(stamp, state, why)
 
     # -- the planner's side --------------------------------------------------------------------------------------------
@@ -340,7 +340,7 @@ class Gateway:
             Status.SUCCEEDED: (State.REACHED, ""),
             Status.CANCELED: (State.IDLE, why),
         }.get(status, (State.ABORTED, why))
-        self.link.ended_by_others = None
+        self.link.ended = None
         _tell_end(drive, status, code, why)
         self._settle()
         self._changed()
@@ -387,10 +387,10 @@ class Gateway:
 
     def _changed(self) -> None:
         """Tell the status, where it is another one."""
-        if self.drive is None and not self.link.others and self.link.ended_by_others is not None:
-            ended, self.link.ended_by_others = self.link.ended_by_others, None
-            told = self.link.told()
-            self._last = (ended, told[1] if told else f"a goal that {self.planner} was given itself")
+        if self.drive is None and not self.link.others and self.link.ended is not None:
+            (goal, ended), self.link.ended = self.link.ended, None
+            told = self.link.told(goal)
+            self._last = (ended, told[1] if told and told[1] else f"a goal that {self.planner} was given itself")
         drive = self.drive
         said = (*self.state(), drive and drive.id, drive and drive.at, None if drive else tuple(self.link.others[-1:]))
         if said != self._said:

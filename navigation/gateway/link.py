@@ -40,7 +40,7 @@ class Link:
         self._orphans: set[bytes] = set()
         self._listed: dict[bytes, Status] = {}
         self._own: Message | None = None
-        self.ended_by_others: State | None = None
+        self.ended: tuple[bytes, State] | None = None
         self.path: Message | None = None
         self.local_map: Message | None = None
         self.current_goal: Message | None = None
@@ -77,18 +77,17 @@ class Link:
         listed = self._listed if self.ready else {}
         return [one for one, status in listed.items() if not status.terminal and one not in self._mine]
 
-    def told(self, goal_id: bytes | None = None) -> tuple[State, str] | None:
-        """The state and the reason that it tells of a goal (None: of any); None where it tells none."""
+    def told(self, goal_id: bytes) -> tuple[State, str] | None:
+        """The state and the reason that it tells of a goal; None where it tells none."""
         own = self._own
-        if own is None or (goal_id is not None and bytes(own["goal_id"]) != goal_id):
+        if own is None or bytes(own["goal_id"]) != goal_id:
             return None
         return State(own["state"]), str(own["reason"])
 
-    @property
-    def pose(self) -> Message | None:
-        """The goal that it says it has."""
+    def pose(self, goal_id: bytes) -> Message | None:
+        """Where a goal that it was given by others leads to, as far as it tells."""
         own = self._own
-        if own is not None and own["goal"]["header"]["frame_id"]:
+        if own is not None and bytes(own["goal_id"]) == goal_id:
             return dict(own["goal"])
         return self.current_goal
 
@@ -126,7 +125,7 @@ class Link:
         for goal in self.others:
             end = listed.get(goal, Status.ABORTED)
             if end.terminal:
-                self.ended_by_others = _ENDS[end]
+                self.ended = goal, _ENDS[end]
         self._listed = listed
         self._changed()
 

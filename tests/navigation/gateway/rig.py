@@ -164,8 +164,7 @@ class Rig(Place):
 
     def fresh(self) -> None:
         """No goals anywhere."""
-        self.ask("stop")
-        until(lambda: not self.gateway.driving, "nothing drives", SECONDS)
+        until(lambda: self.ask("stop") and not self.gateway.driving, "nothing drives", SECONDS)
         for planner in self.planners.values():
             planner.goals.clear()
 
