@@ -49,7 +49,7 @@ class Ports:
         self._odometry = yarp.output(f"{prefix}/odometry:o")
         self._odometer = yarp.output(f"{prefix}/odometer:o")
         self._velocity = yarp.output(f"{prefix}/velocity:o")
-        yarp.serve(f"{prefix}/odometry/rpc", _Reset(host, simulation))
+        yarp.serve(f"{prefix}/rpc", _Reset(host, simulation))
         self._battery = yarp.output(f"{prefix}/battery:o")
         self._ticks = 0
         self._scanned = -1

@@ -85,5 +85,5 @@ def settings(names: NameClient) -> None:
         ):
             said = old.ask(words, timeout=20)
             assert said == answer
-    with ServiceClient(IOdometry2DMsgs, "/cer/odometry/rpc", naming=names) as odometry:
+    with ServiceClient(IOdometry2DMsgs, "/cer/rpc", naming=names) as odometry:
         assert odometry.remote.reset_odometry_RPC()
