@@ -37,6 +37,12 @@ NEVER = -1e9
 SETTLED = 0.5
 """Seconds after its last echo in which a cell counts as left: an echo after it is something that came."""
 
+_BLIND_BEAMS = 5
+_WEDGE = 0.4
+
+HOLD = 0.35
+"""Seconds for which an echo holds against beams that pass: with noise, a wall's cells are passed now and then."""
+
 MOVING_SECONDS = 1.0
 """How long what came counts as moving."""
 
@@ -65,7 +71,7 @@ def _pass(
     next_y = ((row + (1 if down > 0 else 0)) * resolution - y) / s if s != 0.0 else math.inf
     r, k = row % side, column % side
     while row0 <= row < row0 + side and column0 <= column < column0 + side:
-        if ended[r, k] != now:
+        if ended[r, k] < now - HOLD:
             passed[r, k] = now
         if next_x < next_y:
             if next_x >= length:
@@ -98,6 +104,24 @@ def _shorten(ranges: Floats, believed: Floats, step: float, nearest: float, reac
                     place %= beams
                 if 0 <= place < beams and believed[place] > distance:
                     believed[place] = distance
+
+
+@_part
+def _leave_out(ranges: Floats, begins: Floats, step: float, aside: float) -> None:
+    """From which distance on beams are believed: those beside a blind sector seem to pass through it at first."""
+    beams = ranges.shape[0]
+    around = abs(beams * abs(step) - 2.0 * math.pi) < 2.0 * abs(step)
+    for way in (1, -1):
+        blind, rim = 0, beams if around else 0
+        for turn in range(2 * beams if around else beams):
+            beam = (turn if way > 0 else -1 - turn) % beams
+            if math.isnan(ranges[beam]):
+                blind += 1
+                rim = 0 if blind >= _BLIND_BEAMS else rim
+                continue
+            blind, rim = 0, rim + 1
+            if rim * abs(step) < _WEDGE:
+                begins[beam] = max(begins[beam], aside / (rim * abs(step)))
 
 
 @_part
@@ -142,8 +166,9 @@ def _mark(
 ) -> int:
     """Take up a scan that was made at (x, y, theta); returns how many points it has within the window.
 
-    A beam that comes nearer than ``aside`` (metres) to where another one ended is believed so far only: scans of
-    several lasers are merged as if one stood in the middle, so that beams seem to pass through corners.
+    Scans of several lasers are merged as if one stood in the middle, so that beams seem to pass through corners and
+    blind sectors: one that comes nearer than ``aside`` (metres) to where another one ended is believed so far only, and
+    beside a blind sector only from where it is farther than that from its rim.
 
     ``points`` (n, 3) gets where beams ended, x and y, and 1 where something came there lately, else 0. NaN says
     nothing; a distance below ``nearest`` neither, but minus infinity (REP 117) is something right before the laser.
@@ -170,13 +195,17 @@ def _mark(
             since[r, c] = now if now - passed[r, c] < MOVING_SECONDS else NEVER
         ended[r, c] = now
     believed = np.minimum(ranges, reach)
+    begins = np.zeros(ranges.shape[0])
     _shorten(ranges, believed, step, nearest, reach, aside)
+    _leave_out(ranges, begins, step, aside)
     for beam in range(ranges.shape[0]):
         distance = believed[beam]
-        if math.isnan(distance) or distance < nearest:
+        begin = begins[beam]
+        if math.isnan(distance) or distance < nearest or begin >= distance:
             continue
         angle = theta + first + beam * step
-        _pass(passed, ended, resolution, row0, column0, now, x, y, math.cos(angle), math.sin(angle), distance)
+        c, s = math.cos(angle), math.sin(angle)
+        _pass(passed, ended, resolution, row0, column0, now, x + c * begin, y + s * begin, c, s, distance - begin)
     for point in range(count):
         row, column = math.floor(points[point, 1] / resolution), math.floor(points[point, 0] / resolution)
         points[point, 2] = _came(ended, since, row, column, row0, column0, now)

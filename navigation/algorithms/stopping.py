@@ -42,7 +42,6 @@ def _slowed(
     slow: float,
     fast: float,
     top: float,
-    cell: float,
     blocker: Floats,
 ) -> float:
     """The greatest share of the wanted linear velocity with which the robot stops in time; 0 where none does.
@@ -62,7 +61,6 @@ def _slowed(
         slow: what it keeps beyond its radius when it creeps, metres.
         fast: the same at its top speed.
         top: that speed, m/s.
-        cell: side of a cell that nobody saw.
         blocker: (3) gets the point that did not let it go faster; its third is -1 where nothing did.
     """
     blocker[2] = -1.0
@@ -93,8 +91,7 @@ def _slowed(
             px, py = px + (c * vx - s * vy) * _STEP, py + (s * vx + c * vy) * _STEP
             passed += _STEP
             for i in range(kept):
-                # a cell that nobody saw ends where the next one begins
-                least = room if near[i, 2] != _UNKNOWN else radius - 0.5 * cell
+                least = room if near[i, 2] != _UNKNOWN else radius
                 if near[i, 3] > least + 2.0 * reach:
                     continue
                 away = math.hypot(near[i, 0] - px, near[i, 1] - py)
@@ -156,6 +153,6 @@ def kernels() -> tuple[Any, Any]:
     size, real = numba.int64, numba.float64
     points, row = numba.types.Array(real, 2, "C"), numba.types.Array(real, 1, "C")
     here = [Path(__file__)]
-    slowed = compiled(_slowed, real(points, size, *[real] * 3, row, row, *[real] * 8, row), here, nogil=True)
+    slowed = compiled(_slowed, real(points, size, *[real] * 3, row, row, *[real] * 7, row), here, nogil=True)
     ahead = compiled(_ahead, numba.void(points, size, *[real] * 8, row), here, nogil=True)
     return slowed, ahead

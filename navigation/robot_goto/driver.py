@@ -16,7 +16,7 @@ from navigation.algorithms.stopping import kernels
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.command import STILL, Command, Status
-from navigation.robot_goto.local_grid import RESOLUTION, LocalGrid, Scan
+from navigation.robot_goto.local_grid import LocalGrid, Scan
 from navigation.robot_goto.settings import Settings
 from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
 from navigation.status import Fault, State
@@ -35,6 +35,8 @@ MAX_RETREAT = 2.0
 _CREEP_ROOM, _FAST_ROOM = 0.01, 0.05
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _JUMP = 0.3
+_BARELY = 0.1
+_ROUND = 2.2 * math.pi
 
 
 @dataclass
@@ -261,7 +263,8 @@ class Driver:
             return STILL
         if self._waiting_since is None:
             self._waiting_since = now
-        self._task.progress_at = None
+        if self._task.progress_at is not None:
+            self._task.progress_at += self._passed  # waiting is no deadlock
         waited = now - self._waiting_since
         if waited > self.settings.max_waiting_time:
             self._end(State.FAILING, f"{reason}; waited {waited:.0f} s for it to change", fault)
@@ -394,21 +397,24 @@ class Driver:
         scale = self._slowed(
             self._points, count, moved.x, moved.y, moved.theta, self._has, self._wanted, settings.reaction,
             settings.linear_acceleration, settings.angular_acceleration, settings.robot_radius,
-            _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, RESOLUTION, self._blocker,
+            _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, self._blocker,
         )  # fmt: skip
-        if scale == 0.0 and wanted.speed and self._blocker[2] == UNKNOWN:
-            return self._look(now, moved)
+        slowed = Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
+        if scale <= _BARELY and wanted.speed and self._blocker[2] == UNKNOWN:
+            return self._look(now, moved, slowed)
         self._look_way = 0.0
-        if scale:
+        if scale > 2.0 * _BARELY:
             self._looked = 0.0
-        return Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
+        return slowed
 
-    def _look(self, now: float, moved: Pose) -> Command:
-        """Turn on the spot until the laser has seen where the way leads; no more than round once."""
+    def _look(self, now: float, moved: Pose, slowed: Command) -> Command:
+        """Turn on the spot until the laser has seen where the way leads; once round, and then creep where it can."""
         if self._task is None or self._retreat > 0.0:
-            return STILL
-        if self._looked > 2.2 * math.pi:
-            return self._wait(now, "the laser cannot see where the way leads", Fault.BLOCKED)
+            return slowed
+        if self._looked > _ROUND:
+            return (
+                slowed if slowed.speed else self._wait(now, "the laser cannot see where the way leads", Fault.BLOCKED)
+            )
         if not self._look_way:
             bearing = math.atan2(self._blocker[1] - moved.y, self._blocker[0] - moved.x) - moved.theta
             self._look_way = math.copysign(1.0, wrapped(bearing))

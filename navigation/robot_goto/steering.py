@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from navigation.algorithms.distance_transform import distance_transform
-from navigation.algorithms.potential_field import descend
+from navigation.algorithms.potential_field import Descent, descend
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.constraints import Constraints
 from navigation.pose import Pose
@@ -116,12 +118,19 @@ def aim(
     )  # fmt: skip
     if way.direct or not len(way.cells):
         return Aim(*goal, math.inf, way.cost * RESOLUTION, True, goal)
-    end = grid.place(*way.cells[-1])
-    away = math.dist(goal, end) - math.dist(goal, (here.x, here.y))
-    if away > _AWAY:  # somebody in a corridor: no reason to flee from him out of it
+    end, free = grid.place(*way.cells[-1]), grid.place(*_last_free(way))
+    away = math.dist(goal, free) - math.dist(goal, (here.x, here.y))
+    if away > (_AWAY if math.isinf(way.blocked) else 0.0):  # somebody in a corridor: no reason to flee out of it
         return Aim(*goal, 0.0, math.dist(goal, (here.x, here.y)), False, goal)
     to = goal if way.aim == len(way.cells) - 1 and _near(grid, goal, way.cells[-1]) else grid.place(*way.cells[way.aim])
     return Aim(*to, way.blocked * RESOLUTION, way.cost * RESOLUTION, False, end)
+
+
+def _last_free(way: Descent) -> tuple[int, int]:
+    """The last cell of a way before what blocks it."""
+    steps = np.hypot(*np.diff(way.cells, axis=0).T)
+    place = int(np.searchsorted(np.cumsum(steps), way.blocked - 0.5))
+    return int(way.cells[place, 0]), int(way.cells[place, 1])
 
 
 def _near(grid: LocalGrid, goal: tuple[float, float], cell: tuple[int, int]) -> bool:
