@@ -136,8 +136,42 @@ def _requests() -> Subject:
     return Subject(parse, seeds, (WireError,), [*_NUMBERS, *_LISTS, *texts("help", "RPC", "_", "fail", "ok\0\0")])
 
 
+def _navigation() -> Subject:
+    """Requests and words to a navigator's port, and requests to a localiser's, which answer with devices."""
+    from tests.yarp_compat.dev.test_inavigation2d import CALLS
+    from tests.yarp_compat.dev.test_robotgoto_commands import Goto
+    from yarp_compat.dev.inavigation2d import INavigation2DMsgs
+    from yarp_compat.dev.localization2d_server import Localization2DServer
+    from yarp_compat.dev.returnvalue import ReturnValue
+    from yarp_compat.dev.server import Server
+    from yarp_compat.wire.binary import encode
+    from yarp_compat.wire.generation import Generation, Generations
+    from yarp_compat.wire.profile import Profile
+
+    class Device:
+        def __getattr__(self, name: str) -> Any:
+            return lambda *_: ReturnValue()
+
+    logging.getLogger("yarp_compat").setLevel(logging.CRITICAL)
+    generations = list(Generation)
+
+    def parse(data: bytes) -> None:
+        if data:
+            service = Goto() if data[0] & 4 else Localization2DServer(Device())
+            assert Server(service, Generations(generations[data[0] % 4])).answer(data[1:], "/peer")
+
+    words = (["set", "linear_tol", 0.05], ["approach", 1, 2.0, 3], ["get", "navigation_status"], ["reset_params"])
+    seeds = [
+        bytes([7 if kind is INavigation2DMsgs else 3]) + kind.calls()[name].request(said, Profile.YARP4)
+        for kind, name, said, _ in CALLS
+    ]
+    seeds += [bytes([4]) + encode(each, Profile.YARP3) for each in words]
+    return Subject(parse, seeds, (), [*_NUMBERS, *_LISTS, *texts("help", "set", "obstacle_stop", "ok\0\0", "glob")])
+
+
 TARGETS = (
     Target("yarp_values", 40_000, _values),
     Target("yarp_value_text", 10_000, _typed),
     Target("yarp_requests", 25_000, _requests),
+    Target("yarp_navigation", 5_000, _navigation),
 )
