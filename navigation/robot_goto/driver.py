@@ -36,7 +36,7 @@ _CREEP_ROOM, _FAST_ROOM = 0.01, 0.05
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _JUMP = 0.3
 _BARELY = 0.1
-_ROUND = 2.2 * math.pi
+_LOOK, _ROUND, _LOOK_AGAIN = 0.5 * math.pi, 2.2 * math.pi, 0.3
 
 
 @dataclass
@@ -166,8 +166,8 @@ class Driver:
         self._aimed: float | None = None
         self._waiting_since: float | None = None
         self._seen_at = self._removed_at = -math.inf
-        self._looked = 0.0
-        self._look_way = 0.0
+        self._looked = self._look_left = self._look_way = 0.0
+        self._looked_at: Pose | None = None
 
     @property
     def target(self) -> Task | None:
@@ -400,23 +400,23 @@ class Driver:
             _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, self._blocker,
         )  # fmt: skip
         slowed = Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
-        if scale <= _BARELY and wanted.speed and self._blocker[2] == UNKNOWN:
+        unseen = scale <= _BARELY and wanted.speed and self._blocker[2] == UNKNOWN
+        if (unseen or self._look_left > 0.0) and self._task is not None and self._retreat <= 0.0:
             return self._look(now, moved, slowed)
-        self._look_way = 0.0
-        if scale > 2.0 * _BARELY:
-            self._looked = 0.0
         return slowed
 
     def _look(self, now: float, moved: Pose, slowed: Command) -> Command:
-        """Turn on the spot until the laser has seen where the way leads; once round, and then creep where it can."""
-        if self._task is None or self._retreat > 0.0:
-            return slowed
-        if self._looked > _ROUND:
-            return (
-                slowed if slowed.speed else self._wait(now, "the laser cannot see where the way leads", Fault.BLOCKED)
-            )
-        if not self._look_way:
+        """Turn on the spot for the laser to see where the way leads; round once, and then creep where it can."""
+        if self._looked_at is None or self._looked_at.distance(moved) > _LOOK_AGAIN:
+            self._looked, self._looked_at = 0.0, moved
+        if self._look_left <= 0.0:
+            if self._looked > _ROUND:
+                unseen = "the laser cannot see where the way leads"
+                return slowed if slowed.speed else self._wait(now, unseen, Fault.BLOCKED)
             bearing = math.atan2(self._blocker[1] - moved.y, self._blocker[0] - moved.x) - moved.theta
-            self._look_way = math.copysign(1.0, wrapped(bearing))
-        self._looked += abs(self._has[2]) * self._passed
-        return Command(omega=self._look_way * 0.7 * self.settings.max_ang_speed)
+            self._look_way = self._look_way if self._looked else math.copysign(1.0, wrapped(bearing))
+            self._look_left = _LOOK
+        turned = abs(self._has[2]) * self._passed
+        self._look_left -= turned
+        self._looked += turned
+        return Command(omega=self._look_way * self.settings.max_ang_speed)

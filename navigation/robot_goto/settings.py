@@ -68,6 +68,6 @@ class Settings:
     reaction: float = 0.25
     laser_offset: float = 0.08
     laser_timeout: float = 0.5
-    memory: float = 10.0
+    memory: float = 20.0
     deadlock_time: float = 20.0
     on_deadlock: str = "abort"

@@ -21,7 +21,10 @@ INFLUENCE = 0.8
 
 _SPARE = 0.05
 _AWAY = 1.0
-"""Metres by which a way out of the window may lead farther from the goal than the robot is; else it is waited for."""
+"""Metres by which a way out of the window may lead farther from the goal than the robot is; else it waits."""
+
+_WORTH = 0.5
+"""Metres nearer to the goal for each metre up to what blocks a way: where it is less, the robot waits where it is."""
 
 _WIDE = math.radians(60.0)
 
@@ -119,9 +122,10 @@ def aim(
     if way.direct or not len(way.cells):
         return Aim(*goal, math.inf, way.cost * RESOLUTION, True, goal)
     end, free = grid.place(*way.cells[-1]), grid.place(*_last_free(way))
-    away = math.dist(goal, free) - math.dist(goal, (here.x, here.y))
-    if away > (_AWAY if math.isinf(way.blocked) else 0.0):  # somebody in a corridor: no reason to flee out of it
-        return Aim(*goal, 0.0, math.dist(goal, (here.x, here.y)), False, goal)
+    left = math.dist(goal, (here.x, here.y))
+    nearer = left - math.dist(goal, free)
+    if nearer < (-_AWAY if math.isinf(way.blocked) else _WORTH * way.blocked * RESOLUTION):
+        return Aim(*goal, 0.0, left, False, goal)  # somebody in a corridor: no reason to flee out of it
     to = goal if way.aim == len(way.cells) - 1 and _near(grid, goal, way.cells[-1]) else grid.place(*way.cells[way.aim])
     return Aim(*to, way.blocked * RESOLUTION, way.cost * RESOLUTION, False, end)
 
