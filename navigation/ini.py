@@ -157,6 +157,14 @@ class Group:
         found = self._ini.value(self._keys(key))
         return default if found is None else plain_text(found)
 
+    def has(self, key: str) -> bool:
+        """Whether a key is there."""
+        return self._ini.value(self._keys(key)) is not None
+
+    def note(self, key: str, what: str) -> None:
+        """Note that a key is odd."""
+        self._ini.notes.append(f"{self.where(key)}: '{key}': {what}")
+
     def where(self, key: str) -> str:
         """``file:line`` of a key."""
         return self._ini.where(self._keys(key))

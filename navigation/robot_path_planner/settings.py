@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from navigation.constraints import Constraints
+from navigation.ini import Ini, IniError
+from navigation.robot_path_planner.inifile import with_file
 
 
 @dataclass(frozen=True)
@@ -40,3 +43,35 @@ class Settings:
     obstacle_memory: float = 30.0
     obstacle_distance: float = 5.0
     jump: float = 0.5
+
+
+def settings_of(section: RobotPathPlannerSection) -> tuple[Settings, RobotPathPlannerSection, list[str]]:
+    """What a section and the file that it names say.
+
+    Returns:
+        the settings; the section with the file's values; what is odd in the file, each ``file:line: ...``.
+
+    Raises:
+        RuntimeError: the file is not there or cannot be used; the text says where and why.
+    """
+    notes: list[str] = []
+    if section.ini is not None:
+        try:
+            section, notes = with_file(section, Ini(section.ini))
+        except IniError as err:
+            raise RuntimeError(str(err)) from None
+    made = Settings(
+        robot_radius=section.robot_radius,
+        clearance=section.clearance,
+        waypoint=replace(Constraints(**section.waypoint.model_dump()), heading=False, through=True),
+        goal=Constraints(**section.goal.model_dump()),
+        min_waypoint_distance=section.min_waypoint_distance,
+        shortened=section.use_optimized_path,
+        recoveries=section.recoveries,
+        patience=section.patience,
+        waiting=section.max_waiting_time,
+        map_waiting=section.max_map_waiting_time,
+        obstacle_memory=section.obstacle_memory,
+        obstacle_distance=section.obstacle_distance,
+    )
+    return made, section, notes

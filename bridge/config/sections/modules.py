@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from bridge.config.sections.base_control import BaseControlSection
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.module import ModuleSection
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from bridge.config.sections.section import Section
 from bridge.config.sections.transforms import TransformServerSection
 
@@ -56,6 +57,11 @@ class ModulesSection(Section):
     map2d_server: Map2DServerSection = Field(
         default_factory=Map2DServerSection,
         description="The maps and places of the store for YARP, ROS 1 and ROS 2; see docs/maps.md.",
+    )
+    robot_path_planner: RobotPathPlannerSection = Field(
+        default_factory=RobotPathPlannerSection,
+        description="Ways over the map, driven waypoint by waypoint by a local navigator; see"
+        " docs/robot_path_planner.md.",
     )
     transform_server: TransformServerSection = Field(
         default_factory=TransformServerSection,

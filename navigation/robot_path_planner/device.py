@@ -1,0 +1,130 @@
+"""What YARP's clients of the planner call; see `yarp_compat.dev.navigation2d_server`."""
+
+# ruff: noqa: N802, D102 - YARP's names, and its interface says what each does
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from navigation.pose import Pose
+from navigation.robot_path_planner.itinerary import Place
+from navigation.robot_path_planner.planner import PathPlanner
+from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+
+
+class Asked(Protocol):
+    """The module, as it is asked."""
+
+    @property
+    def planner(self) -> PathPlanner:
+        """What plans."""
+
+    def now(self) -> float:
+        """Seconds."""
+
+    def pose(self) -> Pose:
+        """The robot's on the map; raises `RuntimeError` with why it is not known."""
+
+    def drive(self, place: Place) -> None:
+        """Drive there."""
+
+    def stop_driving(self, reason: str) -> None:
+        """Give the goal up."""
+
+    def local_map(self) -> MapGrid2D | None:
+        """The map with what the laser sees on it."""
+
+
+class Device:
+    """Methods run on the threads of the connections; what they do is done on the module's.
+
+    Args:
+        asked: the module.
+        call: runs something on its thread.
+    """
+
+    def __init__(self, asked: Asked, call: Callable[[Callable[[], Any]], Any]) -> None:
+        self._asked, self._call = asked, call
+
+    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
+        place = Place(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))
+        self._call(lambda: self._asked.drive(place))
+
+    def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
+        def drive() -> None:
+            goal = self._pose() @ Pose(x, y, 0.0 if math.isnan(theta) else math.radians(theta))
+            self._asked.drive(Place("", goal._replace(theta=math.nan) if math.isnan(theta) else goal))
+
+        self._call(drive)
+
+    def stopNavigation(self) -> None:
+        self._call(lambda: self._asked.stop_driving("stopped"))
+
+    def suspendNavigation(self, seconds: float) -> None:
+        def pause() -> None:
+            if not self._asked.planner.active:
+                raise CallFailed(ReturnCode.METHOD_FAILED, "there is nothing to suspend")
+            self._asked.planner.pause(self._asked.now(), seconds)
+
+        self._call(pause)
+
+    def resumeNavigation(self) -> None:
+        self._call(self._asked.planner.resume)
+
+    def recomputeCurrentNavigationPath(self) -> None:
+        def recompute() -> None:
+            if not self._asked.planner.active:
+                raise CallFailed(ReturnCode.METHOD_FAILED, "there is no goal")
+            self._asked.planner.recompute()
+
+        self._call(recompute)
+
+    def getNavigationStatus(self) -> str:
+        return self._asked.planner.status.state.value
+
+    def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
+        target = self._asked.planner.target
+        return None if target is None else _location(target.map_name, target.pose)
+
+    def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
+        def found() -> tuple[float, float, float] | None:
+            target = self._asked.planner.target
+            if target is None:
+                return None
+            seen = self._pose().inverse @ target.pose
+            return seen.x, seen.y, math.degrees(seen.theta) if math.isfinite(seen.theta) else math.nan
+
+        relative: tuple[float, float, float] | None = self._call(found)
+        return relative
+
+    def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
+        ground, point = self._asked.planner.ground, self._asked.planner.waypoint
+        return None if point is None or ground is None else _location(ground.name, point.pose)
+
+    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:
+        ground, points = self._asked.planner.ground, self._asked.planner.waypoints
+        if kind is not TrajectoryTypeEnum.global_trajectory or ground is None:
+            return None
+        return Map2DPath([_location(ground.name, each.pose) for each in points])
+
+    def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
+        if kind is NavigationMapTypeEnum.local_map:
+            grid: MapGrid2D | None = self._call(self._asked.local_map)
+            return grid
+        ground = self._asked.planner.ground
+        return None if ground is None else ground.grid
+
+    def _pose(self) -> Pose:
+        try:
+            return self._asked.pose()
+        except RuntimeError as err:
+            raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
+
+
+def _location(map_name: str, pose: Pose) -> Map2DLocation:
+    return Map2DLocation(map_name, pose.x, pose.y, math.degrees(pose.theta))

@@ -1,0 +1,339 @@
+"""The module RobotPathPlanner: an action of the hub, ports of YARP, and a local navigator below.
+
+What robotology/navigation's ``robotPathPlannerDev`` is to a YARP robot.
+"""
+
+from __future__ import annotations
+
+import base64
+import time
+from dataclasses import replace
+from typing import Any
+
+from bridge.config.sections.robot_path_planner import YARP, RobotPathPlannerSection
+from bridge.config.sections.section import Section
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.action_server import Goal
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP
+from bridge.worker import Health
+from navigation.constraints import Constraints
+from navigation.frames import Frames, FramesError
+from navigation.maps.grid import from_grid
+from navigation.pose import Pose
+from navigation.robot_path_planner.action_navigator import ACTION, ActionNavigator
+from navigation.robot_path_planner.device import Device
+from navigation.robot_path_planner.fault import PlanError
+from navigation.robot_path_planner.goals import goal_of, goal_of_click
+from navigation.robot_path_planner.itinerary import Place
+from navigation.robot_path_planner.laser import SCAN, Laser
+from navigation.robot_path_planner.maps import StoreAtlas
+from navigation.robot_path_planner.picture import png
+from navigation.robot_path_planner.planner import PathPlanner
+from navigation.robot_path_planner.settings import settings_of
+from navigation.robot_path_planner.told import PREFIX, Told, pose_message
+from navigation.robot_path_planner.words import PlannerServer
+from navigation.robot_path_planner.yarp_navigator import YarpNavigator
+from navigation.status import NO_GOAL, Fault, State
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.pythonic import Received
+
+LOCALIZATION = "/localization/status"
+_LOCALIZED = "localized_ok"
+_GRID = "nav_msgs/msg/OccupancyGrid"
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_FEEDBACK = 0.2
+_SPEED = 0.2
+"""m/s, from which the time that is left is guessed until the robot has driven for some seconds."""
+
+
+class RobotPathPlanner(Module):
+    """Plans ways and has them driven."""
+
+    name = "robot_path_planner"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Open what the section names."""
+        assert isinstance(section, RobotPathPlannerSection)
+        self._host = host
+        settings, section, self._notes = settings_of(section)
+        for note in self._notes:
+            host.log.warning("%s", note)
+        self._section = section
+        self._goal: Goal | None = None
+        self._began, self._length = 0.0, 0.0
+        self._fed = float("-inf")
+        self._localized, self._trouble = "", ""
+        self._atlas = StoreAtlas(host.store, settings)
+        self.planner = PathPlanner(settings, self._atlas)
+        self._frames = Frames(host, section.frame, section.base_frame)
+        self._laser = Laser(self.planner, self._frames)
+        self._told = Told(host, section.frame, section.prefix)
+        self._closing = [host.store.watch(self._store_changed, MAP, CURRENT, AREA, BEHAVIOUR, LINK, LOCATION)]
+        self._store_due = False
+        self._grid: MapGrid2D | None = None
+        self._local = self._navigator()
+        self._listen()
+        self._offer()
+        self._take_map()
+        host.on_jump(self._forget)
+        host.every(section.period, self._step)
+        if section.image_hz > 0:
+            host.every(1.0 / section.image_hz, lambda: self._told.show(self.planner, self._pose_now()))
+
+    def _navigator(self) -> ActionNavigator | YarpNavigator:
+        name = self._section.navigator
+        if not name.startswith(YARP):
+            return ActionNavigator(self._host, name, self._section.frame)
+        made = YarpNavigator(name.removeprefix(YARP), self._map_name, self._host.yarp.naming)
+        self._closing.append(made.close)
+        return made
+
+    def _listen(self) -> None:
+        node, section = self._host.node, self._section
+        if section.scan:
+            node.subscription(section.scan, SCAN, lambda scan: self._laser.take(self.now(), scan), Qos(depth=1))
+        node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
+        if section.map not in (None, "store"):
+            node.subscription(str(section.map), _GRID, self._grid_told, _LATCHED)
+
+    def _offer(self) -> None:
+        host, prefix = self._host, self._section.prefix
+        self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
+        host.answer("picture", lambda _params: host.loop.call(self.picture))
+        host.answer("halt", lambda _params: host.loop.call(self.halt))
+        if prefix:
+            device = Device(self, host.loop.call)
+            radius = lambda: self.planner.settings.robot_radius  # noqa: E731
+            words = PlannerServer(device, radius, lambda value: host.loop.call(lambda: self.set_radius(value)))
+            host.yarp.serve(f"{prefix}/rpc", words)
+            host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
+
+    # what is asked
+
+    def now(self) -> float:
+        """The planner's time, seconds: the run's where it is simulated, else of a clock that nobody sets."""
+        clock = self._host.clock
+        return clock.now_ns() / 1e9 if clock.simulated else time.monotonic()
+
+    def pose(self) -> Pose:
+        """The robot's on the map; raises `FramesError` with why it is not known."""
+        if self._localized not in ("", _LOCALIZED):
+            raise FramesError(f"the localisation says '{self._localized}'")
+        return self._frames.pose()
+
+    def drive(self, place: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
+        """Drive to a place, instead of where it is driving."""
+        self._finish_before()
+        self._goal = goal
+        self.planner.goal(place.pose, place.map_name, constraints, now=self.now())
+        self._began, self._length = self.now(), 0.0
+        if goal is not None:
+            goal.execute()
+        self._tell()
+
+    def stop_driving(self, reason: str) -> None:
+        """Give the goal up."""
+        self.planner.cancel(reason)
+        self._step()
+
+    def halt(self) -> dict[str, Any]:
+        """Give the goal up, whoever sent it."""
+        self.stop_driving("halted")
+        return {"halted": True}
+
+    def local_map(self) -> MapGrid2D | None:
+        """The map with what the laser sees as temporary obstacles."""
+        ground, clutter = self.planner.ground, self.planner.clutter
+        if ground is None or clutter is None:
+            return None
+        flags = ground.grid.flags.copy()
+        rows, columns = clutter.cells.T
+        flags[rows, columns] = MapFlag.TEMPORARY_OBSTACLE
+        grid = ground.grid
+        return MapGrid2D.of(flags, grid.occupancy, name=grid.name, resolution=grid.resolution, origin=grid.origin)
+
+    def set_radius(self, metres: float) -> None:
+        """Keep another distance to walls."""
+        self.planner.settings = self._atlas.settings = replace(self.planner.settings, robot_radius=metres)
+        self._atlas.forget()
+        self._use(self._grid)
+
+    def picture(self) -> dict[str, Any]:
+        """The map with the way, as PNG in base64."""
+        file = png(self.planner, self._pose_now())
+        return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
+
+    # the hub's action
+
+    def _take(self, goal: Goal) -> bool:
+        try:
+            place, wanted = goal_of(goal.goal, self._frames, lambda: self._host.store.names(MAP))
+        except PlanError as err:
+            goal.abort(_result(err.fault, str(err)))
+            return True
+        self.drive(place, wanted, goal)
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        if goal is not self._goal:
+            return False
+        self._host.loop.post(lambda: self._cancelled(goal))
+        return True
+
+    def _cancelled(self, goal: Goal) -> None:
+        if goal is self._goal:
+            self.stop_driving("cancelled")
+
+    def _finish_before(self) -> None:
+        """A goal whose place another takes."""
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            goal.canceled(_result(Fault.OTHER, "another goal took its place"))
+
+    def _clicked(self, received: Received) -> None:
+        """On the thread of the connection."""
+        self._host.loop.post(lambda: self._drive_click(received.values))
+
+    def _drive_click(self, values: list[Any]) -> None:
+        try:
+            goal = goal_of_click(self.planner.ground, values)
+        except ValueError as err:
+            self._host.log.warning("yarpviewTarget:i: %s", err)
+            return
+        self.drive(Place("", goal))
+
+    # what happens
+
+    def _step(self) -> None:
+        lost, pose = "", None
+        try:
+            pose = self.pose()
+        except FramesError as err:
+            lost = str(err)
+        self.planner.step(self.now(), pose, self._local, lost)
+        self._tell()
+        self._feed(pose)
+
+    def _tell(self) -> None:
+        status = self.planner.status
+        self._told.tell(self.now(), self.planner, self._goal.id if self._goal else NO_GOAL)
+        goal = self._goal
+        if goal is None or self.planner.active:
+            return
+        self._goal = None
+        if status.state is State.REACHED:
+            goal.succeed(_result(Fault.NONE, ""))
+        elif status.state is State.IDLE:
+            goal.canceled(_result(Fault.NONE, status.reason))
+        else:
+            goal.abort(_result(status.fault, status.reason))
+
+    def _feed(self, pose: Pose | None) -> None:
+        """Feedback for the goal's client."""
+        now = self.now()
+        if self._goal is None or pose is None or 0 <= now - self._fed < _FEEDBACK:
+            return
+        self._fed = now
+        left, passed = self.planner.remaining(pose), max(now - self._began, 0.0)
+        self._length = max(self._length, left)
+        driven = self._length - left
+        speed = driven / passed if driven > 1.0 and passed > 0.0 else _SPEED
+        self._goal.feedback({
+            "current_pose": {
+                "header": {"stamp": self._host.clock.stamp(), "frame_id": self._section.frame},
+                "pose": pose_message(pose),
+            },
+            "navigation_time": _duration(passed),
+            "estimated_time_remaining": _duration(left / max(speed, 0.01)),
+            "number_of_recoveries": self.planner.recoveries,
+            "distance_remaining": left,
+        })  # fmt: skip
+
+    def _pose_now(self) -> Pose | None:
+        try:
+            return self.pose()
+        except FramesError:
+            return None
+
+    def _forget(self) -> None:
+        """The clock was set back: what was planned by it is no more."""
+        self.stop_driving("the clock was set back")
+
+    # maps
+
+    def _map_name(self) -> str:
+        return self.planner.ground.name if self.planner.ground else ""
+
+    def _store_changed(self, _change: object) -> None:
+        """On the store's thread; many changes at once are taken up once."""
+        if not self._store_due:
+            self._store_due = True
+            self._host.loop.post(self._take_map)
+
+    def _take_map(self) -> None:
+        self._store_due = False
+        self._atlas.forget()
+        if self._section.map in (None, "store"):
+            name = self._host.store.current_map()
+            self._grid = self._host.store.get(MAP, name) if name else None
+        self._use(self._grid)
+
+    def _grid_told(self, message: dict[str, Any]) -> None:
+        try:
+            grid = from_grid(message, self._host.store.current_map() or str(self._section.map).strip("/"))
+        except ValueError as err:
+            self._trouble = f"{self._section.map}: {err}"
+            return
+        self._trouble = ""
+        self._grid = grid
+        self._use(grid)
+
+    def _use(self, grid: MapGrid2D | None) -> None:
+        self.planner.use_map(None if grid is None else self._atlas.made(grid))
+
+    def _localization_told(self, message: dict[str, Any]) -> None:
+        self._localized = message["data"]
+
+    # how it is
+
+    def health(self) -> Health:
+        """What it is doing, or what it lacks."""
+        if self._trouble:
+            return Health("waiting", self._trouble)
+        if self.planner.ground is None:
+            where = "the store has no current map" if self._section.map in (None, "store") else "no map has come"
+            return Health("waiting", f"{where}; goals are refused")
+        status = self.planner.status
+        return Health("running", f"{status.state.value}: {status.reason}" if status.reason else status.state.value)
+
+    def status(self) -> dict[str, Any]:
+        """The map, the goal and how it is getting on."""
+        status, target = self.planner.status, self.planner.target
+        return {
+            "planner": {"state": status.state.value, "reason": status.reason, "fault": int(status.fault)},
+            "map": self._map_name(),
+            "goal": None if target is None else [target.map_name, *target.pose[:3]],
+            "waypoints": [[each.pose.x, each.pose.y] for each in self.planner.waypoints],
+            "navigator": {"name": self._section.navigator, "state": self._local.state.value},
+            "laser": self._laser.trouble,
+            "notes": list(self._notes),
+        }
+
+    def stop(self) -> None:
+        """Have the robot stand still, and hear no more."""
+        self.planner.cancel("the planner is stopped")
+        self._step()
+        for close in self._closing:
+            close()
+
+
+def _result(fault: Fault, reason: str) -> dict[str, Any]:
+    return {"error_code": int(fault), "error_msg": reason}
+
+
+def _duration(seconds: float) -> dict[str, int]:
+    whole = min(seconds, 2e9)
+    return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}

@@ -1,0 +1,320 @@
+"""The module on a hub, with YARP, and with a local navigator that goes straight to where it is sent."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.action_client import SentGoal
+from bridge.modules.action_server import Goal
+from bridge.modules.goal import Status
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from bridge.stores.kinds import MAP
+from navigation.constraints import Constraints
+from navigation.maps.grid import yaw_of
+from navigation.status import Fault
+from tests.modules.place import Place
+from tests.navigation.robot_path_planner.floors import ROOMS, floor
+from tests.support.wait import until
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum, TrajectoryTypeEnum
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader, Writer
+from yarp_compat.sig.image import ImageRgb
+
+ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
+PLANNER = "/planner/robot_path_planner"
+TICK, SPEED = 0.02, 3.0
+
+
+class Robot:
+    """A local navigator on the hub, whose robot is where it is sent; and a client of the planner."""
+
+    def __init__(self, hub: Hub, registry: Registry) -> None:
+        self.loop = Loop("robot")
+        self.loop.start()
+        self.node = Node(hub, registry, self.loop, SYSTEM)
+        self.x, self.y, self.yaw = 1.0, 1.0, 0.0
+        self.goal: Goal | None = None
+        self.asked: list[tuple[float, float, Constraints]] = []
+        self.fails = ""
+        self.cancels = 0
+        self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
+        self.node.action_server("/planner/robot_goto/navigate_to_pose", ACTION, self._take, self._cancel)
+        self.client = self.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
+        self._timer = self.loop.every(TICK, self._tick)
+
+    def _take(self, goal: Goal) -> bool:
+        if self.goal is not None and self.goal.active:
+            self.goal.abort()
+        self.goal = goal
+        pose = goal.goal["pose"]["pose"]["position"]
+        self.asked.append((pose["x"], pose["y"], Constraints.from_text(goal.goal["behavior_tree"])))
+        goal.execute()
+        if self.fails:
+            goal.abort({"error_code": 9008, "error_msg": self.fails})
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        self.cancels += 1
+        self.loop.post(goal.canceled)
+        return True
+
+    def _tick(self) -> None:
+        goal = self.goal
+        if goal is not None and goal.active and goal.status is Status.EXECUTING:
+            pose = goal.goal["pose"]["pose"]
+            dx, dy = pose["position"]["x"] - self.x, pose["position"]["y"] - self.y
+            away = math.hypot(dx, dy)
+            share = min(1.0, SPEED * TICK / away) if away else 1.0
+            self.x, self.y = self.x + dx * share, self.y + dy * share
+            if share == 1.0:
+                self.yaw = yaw_of(pose["orientation"])
+                goal.succeed()
+        turn = {"x": 0.0, "y": 0.0, "z": math.sin(self.yaw / 2), "w": math.cos(self.yaw / 2)}
+        transform = {"translation": {"x": self.x, "y": self.y, "z": 0.0}, "rotation": turn}
+        header = {"stamp": SYSTEM.stamp(), "frame_id": "map"}
+        self._tf.publish({"transforms": [{"header": header, "child_frame_id": "base_link", "transform": transform}]})
+
+    def send(self, x: float, y: float, yaw: float = 0.0, frame: str = "map") -> Sent:
+        until(lambda: self.client.ready, "the planner is there", 30)
+        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+        return Sent(self, {"pose": {"header": {"frame_id": frame}, "pose": pose}})
+
+    def close(self) -> None:
+        self._timer.close()
+        self.node.close()
+        self.loop.close()
+
+
+class Sent:
+    """A goal that was sent to the planner."""
+
+    def __init__(self, robot: Robot, goal: dict[str, Any]) -> None:
+        self.feedback: list[dict[str, Any]] = []
+        self._over = threading.Event()
+        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
+        self._loop = robot.loop
+        self.goal: SentGoal = robot.loop.call(lambda: robot.client.send(goal, self._ended, self.feedback.append))
+
+    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+        self._end = goal.status, result, why
+        self._over.set()
+
+    def cancel(self) -> None:
+        self._loop.call(self.goal.cancel)
+
+    def end(self) -> tuple[Status, dict[str, Any]]:
+        assert self._over.wait(60), "it ends"
+        assert self._end is not None
+        status, result, why = self._end
+        assert result is not None, why
+        return status, result
+
+
+class Served(Place):
+    """A running planner."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.yarp = NameServer(port=self.port, gc_seconds=0)
+        self.yarp.open()
+        self.robot = Robot(self.far.hub, self.far.registry)
+        section = {
+            "enabled": True,
+            "robot_radius": 0.2,
+            "clearance": 0.1,
+            "image_hz": 20.0,
+            "goal": {"tolerance_lin": 0.05},
+        }
+        self.worker.start(self.config(modules={"robot_path_planner": section}))
+        store = self.module._host.store
+        store.put(MAP, "floor", floor(*ROOMS))
+        store.use_map("floor")
+        until(lambda: self.told().get("map") == "floor", "the map is taken", 30)
+        until(lambda: self.told()["navigator"]["state"] == "idle", "the local navigator is there", 30)
+
+    @property
+    def module(self) -> Any:
+        return self.worker._running["robot_path_planner"]._module
+
+    def told(self) -> dict[str, Any]:
+        return self.status("robot_path_planner") or {}
+
+    def registered(self, port: str) -> str:
+        until(lambda: self.names.query(port), f"{port} is registered", 30)
+        return port
+
+    def close(self) -> None:
+        super().close()
+        self.robot.close()
+        self.yarp.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    made = Served(tmp_path_factory.mktemp("planner"))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def place(running: Served) -> Served:
+    """The planner with nothing to do, its robot in the west."""
+    robot = running.robot
+    robot.fails = ""
+    until(lambda: not running.module.planner.active, "it is at rest", 60)
+    robot.loop.call(lambda: setattr(robot, "goal", None))
+    robot.x, robot.y, robot.yaw = 1.0, 1.0, 0.0
+    frames = running.module._frames
+    until(lambda: abs(pose_of(frames).x - 1.0) < 1e-6, "the robot is in the west", 30)
+    robot.asked.clear()
+    return running
+
+
+def pose_of(frames: Any) -> Any:
+    try:
+        return frames.pose()
+    except RuntimeError:
+        return type("Nowhere", (), {"x": math.inf})
+
+
+def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Served) -> None:
+    path = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
+    states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
+    markers = place.far.subscribe(f"{PLANNER}/markers", "visualization_msgs/MarkerArray", latched=True)
+    place.robot.y = 2.5
+    sent = place.robot.send(4.0, 2.5, 1.0)
+    assert sent.end()[0] is Status.SUCCEEDED
+    assert (place.robot.x, place.robot.y, place.robot.yaw) == pytest.approx((4.0, 2.5, 1.0))
+    *ways, last = place.robot.asked
+    assert ways
+    assert all(each[2].through and not each[2].heading for each in ways)
+    assert last[2].heading
+    assert sent.feedback
+    left = [each["distance_remaining"] for each in sent.feedback]
+    assert left[0] > left[-1]
+    until(lambda: any(len(m["poses"]) > 1 for m in place.far.wait(path, 0, 0)), "the path is told", 20)
+    until(lambda: any(len(m["markers"]) == 4 for m in place.far.wait(markers, 0, 0)), "and drawn", 20)
+
+    def reached() -> bool:
+        told = place.far.wait(states, 0, 0)
+        return bool(told) and told[-1]["state"] == "goal_reached"
+
+    until(reached, "the status tells it", 20)
+    moving = next(m for m in place.far.wait(states, 0, 0) if m["state"] == "moving")
+    assert base64.b64decode(moving["goal_id"]) == sent.goal.id
+
+
+def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> None:
+    first = place.robot.send(4.0, 1.0)
+    until(lambda: place.robot.asked, "it drives", 30)
+    second = place.robot.send(1.0, 4.0)
+    status, result = first.end()
+    assert (status, result["error_msg"]) == (Status.CANCELED, "another goal took its place")
+    assert second.end()[0] is Status.SUCCEEDED
+    third = place.robot.send(4.0, 4.0)
+    until(lambda: place.robot.x > 1.5, "it drives on", 30)
+    third.cancel()
+    status, result = third.end()
+    assert (status, result["error_msg"]) == (Status.CANCELED, "cancelled")
+    until(lambda: not place.robot.goal or not place.robot.goal.active, "the navigator stopped", 20)
+    assert place.robot.x < 3.9
+
+
+@pytest.mark.parametrize(
+    ("goal", "fault", "said"),
+    [
+        ((2.5, 2.5, 0.0, "map"), Fault.GOAL_OCCUPIED, "in a wall"),
+        ((1.0, 1.0, 0.0, "moon"), Fault.UNKNOWN_FRAME, "moon"),
+        ((99.0, 1.0, 0.0, "map"), Fault.OFF_THE_MAP, "off the map"),
+        ((math.nan, 1.0, 0.0, "map"), Fault.BAD_GOAL, "numbers"),
+    ],
+)
+def test_a_goal_that_cannot_be_says_why(place: Served, goal: tuple[Any, ...], fault: Fault, said: str) -> None:
+    status, result = place.robot.send(*goal).end()
+    assert (status, result["error_code"]) == (Status.ABORTED, fault)
+    assert said in result["error_msg"]
+
+
+def test_a_goal_in_the_robots_frame_is_turned_into_the_maps(place: Served) -> None:
+    place.robot.yaw = math.pi / 2
+    until(lambda: pose_of(place.module._frames).theta > 1.5, "the robot has turned", 20)
+    assert place.robot.send(1.0, 0.0, 0.0, "base_link").end()[0] is Status.SUCCEEDED
+    assert (place.robot.x, place.robot.y) == pytest.approx((1.0, 2.0), abs=0.01)
+
+
+def test_yarp_asks_clicks_and_sees(place: Served) -> None:
+    names, robot = place.names, place.robot
+    port = place.registered("/robotPathPlanner/rpc")
+    with Client(port, naming=names) as words:
+        assert words.ask(["get_robot_radius"]) == [0.2]
+        assert words.ask(["set_robot_radius", 0.21]) == ["[ok]"]
+        assert words.ask(["get_robot_radius"]) == [0.21]
+        assert words.ask(["set_robot_radius", 0.2]) == ["[ok]"]
+        assert "one number" in words.ask(["set_robot_radius", "wide"])[1]
+    with ServiceClient(INavigation2DMsgs, port, naming=names) as client:
+        assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("floor", 1.0, 4.0, 90.0))
+        until(lambda: robot.y > 3.99, "it is there", 30)
+        reached = NavigationStatusEnum.navigation_status_goal_reached
+        until(lambda: client.remote.get_navigation_status_RPC()[1] is reached, "YARP hears of it", 20)
+        assert not client.remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory)[1].waypoints
+    with (
+        Reader("/test/view", naming=names) as view,
+        Reader("/test/status", naming=names) as status,
+        Writer("/test/clicks", naming=names) as clicks,
+    ):
+        connections.connect(names, place.registered("/robotPathPlanner/map:o"), "/test/view")
+        connections.connect(names, place.registered("/robotPathPlanner/plannerStatus:o"), "/test/status")
+        connections.connect(names, "/test/clicks", place.registered("/robotPathPlanner/yarpviewTarget:i"))
+        clicks.write([80, 80, 80, 60])  # a drag upwards, from row 80 of 100
+
+        until(lambda: robot.x == pytest.approx(4.025) and robot.yaw == pytest.approx(math.pi / 2), "the drag", 30)
+        assert robot.y == pytest.approx(0.975)
+        until(
+            lambda: (said := status.read_now()) is not None and "navigation_status" in str(said.values),
+            "its status",
+            20,
+        )
+        seen: list[ImageRgb] = []
+
+        def shown() -> bool:
+            received = view.read_now()
+            if received is not None:
+                seen.append(received.to(ImageRgb))
+            return bool(seen)
+
+        until(shown, "a picture comes", 20)
+        assert (seen[0].width(), seen[0].height()) == (100, 100)
+    answer = place.far.hub.ask("picture", {}, worker="robot_path_planner")[0].value
+    image = np.asarray(Image.open(io.BytesIO(base64.b64decode(answer["png"]))).convert("RGB"))
+    assert image.shape == (600, 600, 3)
+    assert (image == (0, 0, 0)).all(axis=2).any()
+    assert (image == (0, 120, 0)).all(axis=2).any(), "the robot is on it"
+
+
+def test_a_navigator_that_fails_is_said(place: Served) -> None:
+    place.robot.fails = "the laser is silent"
+    sent = place.robot.send(4.0, 1.0)
+    until(lambda: place.module.planner.recoveries, "it tries again", 30)
+    assert "the laser is silent" in place.module.planner.status.reason
+    place.robot.fails = ""
+    assert sent.end()[0] is Status.SUCCEEDED

@@ -1,0 +1,132 @@
+"""Sections and files of existing robots."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
+from navigation.constraints import Constraints
+from navigation.robot_path_planner.settings import Settings, settings_of
+
+R1 = """\
+[GENERAL]
+publish_map_image_Hz   15
+
+[NAVIGATION]
+pathplanner_thinking_timeout 30
+min_waypoint_distance  4
+use_optimized_path     1
+enable_try_recovery    0
+goal_tolerance_lin     0.05
+goal_tolerance_ang     0.6
+goal_max_lin_speed     0.45
+goal_max_ang_speed     5.0
+goal_min_lin_speed     0.1
+goal_min_ang_speed     0.1
+goal_ang_speed_gain     0.3
+goal_lin_speed_gain     0.1
+waypoint_tolerance_lin 0.15
+waypoint_tolerance_ang 5
+waypoint_max_lin_speed 0.45
+waypoint_max_ang_speed 500
+waypoint_min_lin_speed 0.1
+waypoint_min_ang_speed 0.1
+waypoint_ang_speed_gain 0.3
+waypoint_lin_speed_gain 0.1
+
+[INTERNAL_NAVIGATOR]
+plugin                 robotGotoDev
+context                freeFloorViewer
+from                   robotGoto_cer02.ini
+
+[LOCALIZATION]
+robot_frame_id         mobile_base_body_link
+map_frame_id           map
+
+[LASER]
+laser_port             /cer/laser:o
+
+[ROBOT_GEOMETRY]
+robot_radius           0.30
+laser_pos_x            0
+laser_pos_y            0
+laser_pos_theta        0
+"""
+OLD = """\
+goal_tolerance_lin     0.05
+goal_tolerance_ang     0.6
+waypoint_tolerance_lin 0.1
+waypoint_tolerance_ang 5
+min_waypoint_distance  0
+use_optimized_path     1
+max_lin_speed          0.25
+min_lin_speed          0.1
+publish_map_image_Hz   15
+[MAP]
+file_name              C:/software/maps/map_test.yaml
+[LOCALIZATION]
+robot_frame_id         mobile_base_body
+[LASER]
+laser_port             /ikart/laser:o
+[ROBOT_GEOMETRY]
+robot_radius           0.35
+laser_pos_x            0.245
+laser_pos_y            0
+laser_pos_theta        -135
+"""
+
+
+def read(folder: Path, text: str, **section: object) -> tuple[Settings, RobotPathPlannerSection, list[str]]:
+    file = folder / "robotPathPlanner.ini"
+    file.write_text(text)
+    return settings_of(RobotPathPlannerSection.model_validate({"ini": file, **section}))
+
+
+def test_a_file_of_r1_is_read_as_it_is(tmp_path: Path) -> None:
+    settings, section, notes = read(tmp_path, R1)
+    assert settings.waypoint == Constraints(0.45, 0.1, 360.0, 0.1, 0.1, 0.3, 0.15, 5.0, heading=False, through=True)
+    assert settings.goal == Constraints(0.45, 0.1, 5.0, 0.1, 0.1, 0.3, 0.05, 0.6)
+    assert (settings.robot_radius, settings.recoveries, settings.min_waypoint_distance) == (0.3, 0, 0.2)
+    assert (section.base_frame, section.frame, section.image_hz) == ("mobile_base_body_link", "map", 15.0)
+    lines = sorted(int(found) for note in notes for found in re.findall(r"\.ini:(\d+): ", note))
+    assert lines == [5, 6, 20, 27, 28, 29]
+    assert "waypoint_max_ang_speed 500" in "".join(notes)
+    assert "upstream reads it and uses it nowhere" in "".join(notes)
+
+
+def test_a_file_of_2016_has_its_keys_at_the_top(tmp_path: Path) -> None:
+    settings, section, notes = read(tmp_path, OLD)
+    assert settings.waypoint == Constraints(
+        0.25, 0.1, tolerance_lin=0.1, tolerance_ang=5.0, heading=False, through=True
+    )
+    assert settings.goal == Constraints(0.25, 0.1, tolerance_lin=0.05, tolerance_ang=0.6)
+    assert (settings.robot_radius, settings.recoveries, section.base_frame) == (0.35, 5, "mobile_base_body")
+    assert len(notes) == 1
+    assert "ini:11: 'file_name' does nothing: the map is the store's" in notes[0]
+
+
+def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
+    settings, section, _ = read(
+        tmp_path, R1, robot_radius=0.2, recoveries=2, base_frame="base", goal={"tolerance_lin": 0.2}
+    )
+    assert (settings.robot_radius, settings.recoveries, section.base_frame) == (0.2, 2, "base")
+    assert (settings.goal.tolerance_lin, settings.goal.max_lin_speed) == (0.2, 0.45)
+
+
+def test_files_that_cannot_be_used_say_where_and_why(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match=r"group \[ROBOT_GEOMETRY\] is missing"):
+        read(tmp_path, OLD.split("[ROBOT_GEOMETRY]", maxsplit=1)[0])
+    with pytest.raises(RuntimeError, match=r"ini:17: 'robot_radius' is a number, not 'wide'"):
+        read(tmp_path, OLD.replace("0.35", "wide"))
+    with pytest.raises(RuntimeError, match="no such file"):
+        settings_of(RobotPathPlannerSection(ini=tmp_path / "none.ini"))
+
+
+@pytest.mark.parametrize("wrong", [{"map": "map"}, {"navigator": "robot_goto"}, {"navigator": "yarp:x"}, {"scan": "s"}])
+def test_names_that_are_none_are_refused(wrong: dict[str, str]) -> None:
+    with pytest.raises(ValidationError):
+        RobotPathPlannerSection.model_validate(wrong)
