@@ -18,6 +18,9 @@ class Sensed:
         base: whose wheels.
         section: the errors.
         rng: where noise comes from.
+
+    Attributes:
+        frozen: whether they do not notice that the wheels turn.
     """
 
     def __init__(self, base: Base, section: EncodersSection, rng: np.random.Generator) -> None:
@@ -26,10 +29,15 @@ class Sensed:
         self._scale = 1.0 + np.resize(np.array(scale, float), len(base.names))
         self._last = base.joints()[0]
         self._said = np.zeros(len(base.names))
+        self.frozen = False
 
     def read(self, time_ns: int) -> Encoders:
         """What they say now; to be called at a steady rate."""
         positions, velocities = self._base.joints()
+        if self.frozen:
+            # such encoders count steps: those that they miss are lost
+            self._last = positions
+            return Encoders(time_ns, self._said.copy(), np.zeros(len(velocities)))
         turned = (positions - self._last) * self._scale
         self._last = positions
         if self._noise:

@@ -57,7 +57,8 @@ class Outlets:
         """Say what is due after a tick; ``time_ns`` is the time of the stamps."""
         simulation, names = self._simulation, self._names
         self._ticks += 1
-        self._joints.publish(messages.joints(time_ns, simulation.base.names, simulation.motors.encoders()))
+        if "encoders_silent" not in simulation.faults:
+            self._joints.publish(messages.joints(time_ns, simulation.base.names, simulation.motors.encoders()))
         if self._ticks % _ODOMETRY == 0:
             self._tell_pose(time_ns)
         if simulation.scan.time_ns != self._scanned:
@@ -83,7 +84,7 @@ class Outlets:
         simulation, names = self._simulation, self._names
         pose, twist = simulation.base.pose(), simulation.base.twist()
         self._truth.publish(messages.odometry(time_ns, pose, twist, names.map_frame, names.base_frame, sure=True))
-        if self._odometry is not None and self._tf is not None:
+        if self._odometry is not None and self._tf is not None and "encoders_silent" not in simulation.faults:
             found = simulation.estimate
             self._odometry.publish(messages.estimate(time_ns, found, names))
             self._tf.publish(messages.transform(time_ns, names.odom_frame, names.base_frame, found.pose))

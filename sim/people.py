@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from sim.pieces import Piece, of_person
 from sim.plan import Person, Point
 
-
 _PATIENCE = 5.0
 """Seconds that somebody waits for a robot in the way, and then turns to the next point of the path."""
 

@@ -63,7 +63,7 @@ class Ports:
             self._scanned = scan.time_ns
             if self._laser.heard:
                 self._laser.write(self._scan(), envelope)
-        if self._ticks % _ODOMETRY == 0:
+        if self._ticks % _ODOMETRY == 0 and "encoders_silent" not in self._simulation.faults:
             self._tell_odometry(envelope)
         if self._ticks % _BATTERY == 0 and self._battery.heard:
             charge = self._simulation.battery.charge

@@ -53,6 +53,8 @@ class Wishes:
             "/sim/remove": (named, self._remove),
             "/sim/open": (named, lambda request: self._door(request, is_open=True)),
             "/sim/close": (named, lambda request: self._door(request, is_open=False)),
+            "/sim/fail": (named, lambda request: self._simulation.faults.set(request["name"], on=True)),
+            "/sim/mend": (named, lambda request: self._simulation.faults.set(request["name"], on=False)),
             "/sim/ride": (named, lambda request: f"on the floor {self._simulation.ride(request['name'])}"),
         }
 

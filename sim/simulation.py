@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sim.base import STEP_NS, Encoders, Pose, Twist, make_base
 from sim.battery import Battery
 from sim.commands import Drive
 from sim.errors import SimError
+from sim.faults import Faults
 from sim.laser import Laser, Scan
 from sim.odometry import Estimate, Odometry, Sensed
 from sim.plan import Plan
@@ -100,6 +102,7 @@ class Simulation:
         self.drive = Drive(self.base)
         self.battery = Battery(self.robot.battery)
         self.stopped = False
+        self.faults = Faults()
         self.bumps: list[tuple[float, float]] = []
         self._sensed = Sensed(self.base, section.encoders, encoder_noise)
         self.odometry = Odometry(self.base)
@@ -123,7 +126,7 @@ class Simulation:
             self.battery.use(self.base.load(), _LOOK_NS / 1e9)
         self.bumps = self.world.bumps()
         self._sense()
-        if since % self._turn_ns == 0:
+        if since % self._turn_ns == 0 and "laser_silent" not in self.faults:
             self.scan = self._scan()
 
     def run(self, seconds: float) -> None:
@@ -181,13 +184,15 @@ class Simulation:
         self.world.place(at)
 
     def _sense(self) -> None:
+        self._sensed.frozen = "encoders_frozen" in self.faults
         encoders = self._sensed.read(self.time_ns)
         self.motors.now = self.time_ns
         self.motors.read(encoders)
         self.odometry.add(encoders)
 
     def _scan(self) -> Scan:
-        return self.laser.scan(self.time_ns, self.base.pose(), *self.world.seen())
+        seen = self.laser.scan(self.time_ns, self.base.pose(), *self.world.seen())
+        return replace(seen, ranges=np.full_like(seen.ranges, math.nan)) if "laser_blind" in self.faults else seen
 
     @property
     def estimate(self) -> Estimate:

@@ -83,6 +83,7 @@ class Simulator(Module):
             "left_out_steps": pace.left_out if pace else 0,
             "refused_commands": self._refused,
             "emergency_stop": simulation.stopped,
+            "faults": list(simulation.faults),
             "floor": simulation.floor,
             "robot": simulation.robot.name,
             "truth": [round(v, 4) for v in pose],

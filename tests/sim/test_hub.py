@@ -123,6 +123,11 @@ def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> No
     )
     assert waiting.result()["reply"]["success"]
     assert far.wait(heard["/clock"], 1)[-1]["clock"]["sec"] >= 1
+    assert place.named("fail", "encoders_silent")["success"]
+    ended = place.step(0.2)["stamp"]
+    until(lambda: far.wait(heard["/ground_truth"], 1)[-1]["header"]["stamp"] == ended, "the truth is told", 20)
+    for topic in ("/joint_states", "/odom"):
+        assert far.wait(heard[topic], 1)[-1]["header"]["stamp"] != ended, topic
     again = place.call("/sim/reset", "std_srvs/Trigger")
     assert again["success"]
     assert place.status()["truth"][:2] == [3.0, 8.2]
@@ -165,6 +170,10 @@ def test_in_real_time_it_is_asked_for_changes(place: Place) -> None:
     assert place.call("/sim/walk", "midspan_msgs/Walk", name="anna", path=path)["success"]
     assert "people: anna" in place.call("/sim/walk", "midspan_msgs/Walk", name="bob", path=path)["message"]
     assert "links: none" in place.named("ride", "lift")["message"]
+    assert place.named("fail", "encoders_silent")["success"]
+    assert place.status()["faults"] == ["encoders_silent"]
+    assert "laser_silent" in place.named("fail", "camera")["message"]
+    assert place.named("mend", "encoders_silent")["success"]
     to = {"x": 1.6, "y": 2.4, "theta": math.pi / 2}
     assert place.call("/sim/teleport", "midspan_msgs/Teleport", pose=to)["success"]
     assert place.status()["truth"][1] == pytest.approx(2.4, abs=0.05)
