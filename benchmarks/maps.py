@@ -43,7 +43,8 @@ def office(size: int) -> MapGrid2D:
     """A map of rooms of 80 cells, some unknown or to be kept out of, with obstacles and greys here and there."""
     dice = np.random.default_rng(7)
     rooms = dice.choice([0, 0, 0, 0, 0, 1, 5, 5], (size // 80 + 1, size // 80 + 1)).astype(np.uint8)
-    flags = np.repeat(np.repeat(rooms, 80, axis=0), 80, axis=1)[:size, :size]
+    cells = np.repeat(np.repeat(rooms, 80, axis=0), 80, axis=1)[:size, :size]
+    flags = np.ascontiguousarray(cells)  # as maps from files and from the wire are
     flags[::80] = flags[:, ::80] = MapFlag.WALL
     flags[40::80] = flags[:, 40::80] = MapFlag.FREE
     spots = dice.integers(0, size, (2, size * size // 200))
