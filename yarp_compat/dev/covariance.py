@@ -18,7 +18,7 @@ SHAPE = (3, 3)
 class Covariance(Nested):
     """A 3x3 matrix; where there is none, zeros are written. It may be an array too.
 
-    An empty one is read as such: servers of YARP 4.0 send it where all went well, having confused the two cases.
+    An empty one is read as such: servers of YARP 3.12 and 4.0 send it where all went well, having confused two cases.
     """
 
     def __init__(self) -> None:

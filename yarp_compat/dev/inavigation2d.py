@@ -136,7 +136,7 @@ class INavigation2DMsgs(Service):
 
     @rpc
     def apply_velocity_command_RPC(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> ReturnValue:
-        """Drive: m/s, m/s, deg/s, for so many seconds. Servers of 4.0 forget the seconds, and take 0.1."""
+        """Drive: m/s, m/s, deg/s, for so many seconds. Servers of 3.12 and 4.0 forget the seconds, and take 0.1."""
 
     @rpc
     def get_last_velocity_command_RPC(self) -> tuple[ReturnValue, float, float, float]:

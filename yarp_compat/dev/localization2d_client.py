@@ -46,13 +46,13 @@ class ILocalization2D:
         return asked(self._localization.get_localization_status_RPC, into=status, default=_UNSURE)
 
     def getEstimatedPoses(self, poses: list[Map2DLocation] | None = None) -> Any:
-        """Where the robot may be: the particles. Servers of 4.0 give none: they confuse success and failure."""
+        """Where the robot may be: the particles. Servers of 3.12 and 4.0 give none, ever."""
         return asked(self._localization.get_estimated_poses_RPC, into=poses, default=[])
 
     def getCurrentPosition(self, loc: Map2DLocation | None = None, cov: Matrix | None = None) -> Any:
         """Where the robot is; with its covariance where a matrix is given for that.
 
-        Servers of 4.0 send an empty covariance and location where they should send them: that is a failure here.
+        Servers of 3.12 and 4.0 confuse success and failure, and send neither where they know both: a failure here.
         """
         if cov is None:
             return asked(self._localization.get_current_position1_RPC, into=loc, default=Map2DLocation())
