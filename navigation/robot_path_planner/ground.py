@@ -37,6 +37,9 @@ _SOLID = np.zeros(256, np.uint8)
 _SOLID[[MapFlag.WALL, MapFlag.TEMPORARY_OBSTACLE, MapFlag.UNKNOWN]] = 1
 _NOTHING = AreaBehaviour()
 
+_BESIDE = 1.5
+"""Metres, see `Ground.beside`."""
+
 
 @dataclass(frozen=True)
 class Zone:
@@ -63,6 +66,8 @@ class Ground:
         weights: (rows, columns) what entering costs; 0 where the robot does not fit or is not to be.
         open: (rows, columns) 1 where a robot that goes round something may well come.
         behaviours: what cells ask for, by the numbers in `labels`.
+        beside: (rows, columns) where robots are kept out nearby: who drives by the laser alone is to go round nothing
+            there, since that might lead in.
     """
 
     def __init__(self, grid: MapGrid2D, radius: float, clearance: float = 0.0, zones: Sequence[Zone] = ()) -> None:
@@ -80,6 +85,7 @@ class Ground:
         self.weights = self._weighed(clearance)
         self.open = (self.room > radius / 2).astype(np.uint8)
         self.labels, self.behaviours = _labelled(grid, here)
+        self.beside = distance_transform(self.kept) < _BESIDE / grid.resolution
 
     @property
     def name(self) -> str:

@@ -321,8 +321,11 @@ class PathPlanner:
             task.closed_since = None
             return
         task.closed_since = now if task.closed_since is None else task.closed_since
-        waits = task.waypoint.constraints.on_obstacle == "wait"
-        if waits or now - task.closed_since < self.settings.patience or task.attempts >= self.settings.recoveries:
+        if (
+            task.waypoint.waits
+            or now - task.closed_since < self.settings.patience
+            or task.attempts >= self.settings.recoveries
+        ):
             return
         try:
             found = self._way(task, pose)

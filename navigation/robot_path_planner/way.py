@@ -25,10 +25,17 @@ Places = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Where to drive next, and what holds until there."""
+    """Where to drive next, and what holds until there.
+
+    Attributes:
+        pose: where.
+        constraints: what holds.
+        waits: whether an area on the way asks to wait for obstacles rather than to look for another way.
+    """
 
     pose: Pose
     constraints: Constraints
+    waits: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,37 +179,33 @@ def _waypoints(
 ) -> tuple[Waypoint, ...]:
     """Waypoints at all turns, and where an area with a behaviour begins or ends."""
     made: list[Waypoint] = []
-    last = len(places) - 2
-    for number, (one, other) in enumerate(pairwise(places)):
+    through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
+    for one, other in pairwise(places):
         theta = math.atan2(other[1] - one[1], other[0] - one[0])
-        parts = _parts(ground, one, other)
-        for part, (end, behaviour) in enumerate(parts):
-            if number == last and part == len(parts) - 1:
-                constraints = _merged(settings.goal, wanted, behaviour)
-                if math.isfinite(goal.theta):
-                    made.append(Waypoint(goal, constraints))
-                else:
-                    made.append(Waypoint(goal._replace(theta=theta), replace(constraints, heading=False)))
-            else:
-                through = replace(wanted, heading=False, through=True, tolerance_lin=None, tolerance_ang=None)
-                constraints = _merged(settings.waypoint, through, behaviour)
-                made.append(Waypoint(Pose(float(end[0]), float(end[1]), theta), constraints))
+        for (x, y), behaviour, beside in _parts(ground, one, other):
+            constraints = _merged(settings.waypoint, through, behaviour, beside=beside)
+            made.append(Waypoint(Pose(float(x), float(y), theta), constraints, behaviour.on_obstacle == "wait"))
+    constraints = _merged(settings.goal, wanted, behaviour, beside=beside)
+    if not math.isfinite(goal.theta):
+        goal, constraints = goal._replace(theta=theta), replace(constraints, heading=False)
+    made[-1] = Waypoint(goal, constraints, behaviour.on_obstacle == "wait")
     return tuple(made)
 
 
-def _parts(ground: Ground, one: Places, other: Places) -> list[tuple[Places, AreaBehaviour]]:
-    """The ends of a line's parts in which one behaviour holds, and that; a border counts as the slower side's."""
+def _parts(ground: Ground, one: Places, other: Places) -> list[tuple[Places, AreaBehaviour, bool]]:
+    """The ends of a line's parts in which one behaviour holds, that, and whether robots are kept out nearby."""
     along = sampled(np.stack((one, other)), ground.grid.resolution / 2)
     columns, rows = ground.grid.cells_at(along).T
-    labels = ground.labels[
-        np.clip(rows, 0, ground.labels.shape[0] - 1), np.clip(columns, 0, ground.labels.shape[1] - 1)
-    ]
-    borders = [*np.flatnonzero(labels[1:] != labels[:-1]), len(along) - 1]
-    return [(along[end], ground.behaviours[labels[end]]) for end in borders]
+    high, wide = ground.labels.shape
+    at = np.clip(rows, 0, high - 1), np.clip(columns, 0, wide - 1)
+    labels, beside = ground.labels[at], ground.beside[at]
+    changes = (labels[1:] != labels[:-1]) | (beside[1:] != beside[:-1])
+    ends = [*np.flatnonzero(changes), len(along) - 1]
+    return [(along[end], ground.behaviours[labels[end]], bool(beside[end])) for end in ends]
 
 
-def _merged(ours: Constraints, wanted: Constraints, behaviour: AreaBehaviour) -> Constraints:
-    """What is set, what is wanted instead, and what an area does not let be exceeded."""
+def _merged(ours: Constraints, wanted: Constraints, behaviour: AreaBehaviour, *, beside: bool) -> Constraints:
+    """What is set, what is wanted instead, and what an area, or keep-out cells nearby, do not let be exceeded."""
     given = {
         name: value
         for name, value in vars(wanted).items()
@@ -212,4 +215,5 @@ def _merged(ours: Constraints, wanted: Constraints, behaviour: AreaBehaviour) ->
     speeds = [speed for speed in (made.max_lin_speed, behaviour.max_speed) if speed is not None]
     most = min(speeds, default=None)
     least = made.min_lin_speed if most is None or made.min_lin_speed is None else min(made.min_lin_speed, most)
-    return replace(made, max_lin_speed=most, min_lin_speed=least, on_obstacle=behaviour.on_obstacle or made.on_obstacle)
+    word = "wait" if beside else behaviour.on_obstacle or made.on_obstacle
+    return replace(made, max_lin_speed=most, min_lin_speed=least, on_obstacle=word)

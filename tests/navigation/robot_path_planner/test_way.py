@@ -136,6 +136,15 @@ def test_areas_split_the_way_and_say_how_to_drive_in_them() -> None:
     assert found.waypoints[1].constraints.min_lin_speed == 0.15
 
 
+def test_beside_what_is_kept_out_of_nothing_is_gone_round_by_the_laser_alone() -> None:
+    grid = floor(size=10.0)
+    paint(grid, (8.0, 0.5, 9.5, 1.5), MapFlag.KEEP_OUT)
+    near, far = way(Ground(grid, 0.2), WEST, Pose(7.5, 1.0, 0.0), SETTINGS).waypoints
+    assert (near.constraints.on_obstacle, far.constraints.on_obstacle) == ("", "wait")
+    assert near.pose.x == pytest.approx(6.5, abs=0.1)
+    assert not far.waits, "the planner itself may look for another way"
+
+
 def test_what_the_sender_asks_for_holds_and_areas_are_stronger() -> None:
     ground = Ground(floor(), 0.2, zones=[Zone(area(3.0, 0.0, 5.0, 5.0), AreaBehaviour(0.3))])
     wanted = Constraints(max_lin_speed=0.4, tolerance_lin=0.5, heading=False)
