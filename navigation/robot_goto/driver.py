@@ -16,7 +16,7 @@ from navigation.algorithms.stopping import kernels
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.command import STILL, Command, Status
-from navigation.robot_goto.local_grid import LocalGrid, Scan
+from navigation.robot_goto.local_grid import AT_BASE, LocalGrid, Scan
 from navigation.robot_goto.settings import Settings
 from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
 from navigation.status import Fault, State
@@ -88,15 +88,22 @@ class Driver:
         self._slowed, self._look_ahead = kernels()
         self._points = np.empty((0, 3))
         self._has, self._wanted, self._blocker = np.zeros(3), np.zeros(3), np.zeros(3)
-        self.forget()
+        self._task: Task | None = None
+        self._aim: Aim | None = None
+        self._aimed: float | None = None
+        self._waiting_since: float | None = None
+        self._looked_at: Pose | None = None
+        self._now: float | None = None
+        self._moved: Pose | None = None
+        self._passed = 0.0
+        self._last = STILL
+        self._clear()
 
     def forget(self) -> None:
         """Give the goal up, and all that was seen: time was set back."""
         self.cancel()
         self.grid.clear()
-        self._now: float | None = None
-        self._passed = 0.0
-        self._moved: Pose | None = None
+        self._now = self._moved = None
 
     # goals
 
@@ -159,15 +166,15 @@ class Driver:
         return True
 
     def _clear(self) -> None:
-        self._task: Task | None = None
+        self._task = None
         self._push = STILL
         self._push_left = self._retreat = self._coast = self._pause_left = 0.0
-        self._aim: Aim | None = None
-        self._aimed: float | None = None
-        self._waiting_since: float | None = None
+        self._aim = None
+        self._aimed = None
+        self._waiting_since = None
         self._seen_at = self._removed_at = -math.inf
         self._looked = self._look_left = self._look_way = 0.0
-        self._looked_at: Pose | None = None
+        self._looked_at = None
 
     @property
     def target(self) -> Task | None:
@@ -181,14 +188,15 @@ class Driver:
 
     # the senses
 
-    def scan(self, scan: Scan, moved: Pose) -> None:
+    def scan(self, scan: Scan, moved: Pose, laser: Pose = AT_BASE) -> None:
         """Take up a scan.
 
         Args:
-            scan: a turn of the laser, with the base as its middle.
+            scan: a turn of the laser.
             moved: where the base was in the odometry's frame as it was made (on the map where there is no odometry).
+            laser: where the laser is on the base.
         """
-        self.grid.scan(scan, moved)
+        self.grid.scan(scan, moved, laser)
 
     def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> Command:
         """What to command now.

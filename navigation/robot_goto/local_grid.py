@@ -15,12 +15,14 @@ RESOLUTION = 0.05
 SIDE = 100
 """Cells; the window is 5 m square, with the robot in its middle."""
 
+AT_BASE = Pose(0.0, 0.0, 0.0)
+
 NEAR = 1.5
 """Metres around the robot within which single cells are given."""
 
 
 class Scan(Protocol):
-    """A turn of a laser that is in the base's middle (`sim.laser.Scan`, `navigation.robot_goto.beams.Beams`)."""
+    """A turn of a laser (`sim.laser.Scan`, `navigation.robot_goto.beams.Turn`)."""
 
     @property
     def time_ns(self) -> int:
@@ -76,22 +78,25 @@ class LocalGrid:
         self.count = 0
         self.scanned: float | None = None
 
-    def scan(self, scan: Scan, at: Pose) -> None:
+    def scan(self, scan: Scan, at: Pose, laser: Pose = AT_BASE) -> None:
         """Take up a scan.
 
         Args:
-            scan: with the base as its middle.
+            scan: a turn of the laser.
             at: where the base was as it was made, in the grid's frame.
+            laser: where the laser is on the base.
         """
         now = scan.time_ns / 1e9
         self._move(at)
         if len(self.points) < len(scan.ranges):
             self.points = np.empty((len(scan.ranges), 3))
         self._stand(self._passed, self._ended, RESOLUTION, now, self._memory, at.x, at.y, 0.7 * self._radius)
+        eye = at @ laser
         ranges = np.ascontiguousarray(scan.ranges, np.float64)
         self.count = self._mark(
             self._passed, self._ended, self._since, RESOLUTION, self._row0, self._column0, now,
-            at.x, at.y, at.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside, ranges, self.points,
+            eye.x, eye.y, eye.theta, scan.first, scan.step, scan.nearest, scan.farthest, self._aside,
+            ranges, self.points,
         )  # fmt: skip
         self.scanned = now
 

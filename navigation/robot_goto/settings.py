@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from bridge.config.sections.robot_goto import RobotGotoSection
+from navigation.ini import Ini, IniError
+from navigation.robot_goto.inifile import with_file
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -71,3 +75,52 @@ class Settings:
     memory: float = 20.0
     deadlock_time: float = 20.0
     on_deadlock: str = "abort"
+
+
+def settings_of(section: RobotGotoSection) -> tuple[Settings, RobotGotoSection, list[str]]:
+    """What a section and the file that it names say.
+
+    Returns:
+        the settings; the section with the file's values; what is odd in the file, each ``file:line: ...``.
+
+    Raises:
+        RuntimeError: the file is not there or cannot be used; the text says where and why.
+    """
+    notes: list[str] = []
+    if section.ini is not None:
+        try:
+            section, notes = with_file(section, Ini(section.ini))
+        except IniError as err:
+            raise RuntimeError(str(err)) from None
+    made = Settings(
+        holonomic=section.robot_is_holonomic,
+        max_beta_angle=math.radians(section.max_beta_angle),
+        ang_speed_gain=section.ang_speed_gain,
+        lin_speed_gain=section.lin_speed_gain,
+        max_lin_speed=section.max_lin_speed,
+        max_ang_speed=math.radians(section.max_ang_speed),
+        min_lin_speed=min(section.min_lin_speed, section.max_lin_speed),
+        min_ang_speed=math.radians(min(section.min_ang_speed, section.max_ang_speed)),
+        goal_tolerance_lin=section.goal_tolerance_lin,
+        goal_tolerance_ang=math.radians(section.goal_tolerance_ang),
+        robot_radius=section.robot_radius,
+        obstacle_stop=section.enable_obstacles_emergency_stop,
+        dynamic_distance=section.enable_dynamic_max_distance,
+        max_waiting_time=section.max_waiting_time,
+        max_detection_distance=section.max_detection_distance,
+        min_detection_distance=section.min_detection_distance,
+        avoidance=section.enable_obstacles_avoidance,
+        frontal_blind_angle=math.radians(section.frontal_blind_angle),
+        speed_reduction_factor=section.speed_reduction_factor,
+        retreat=section.enable_retreat,
+        retreat_duration=section.retreat_duration,
+        linear_acceleration=section.max_lin_acc,
+        angular_acceleration=math.radians(section.max_ang_acc),
+        reaction=section.reaction,
+        laser_offset=section.laser_offset,
+        laser_timeout=section.laser_timeout,
+        memory=section.memory,
+        deadlock_time=section.deadlock_time,
+        on_deadlock=section.on_deadlock,
+    )
+    return made, section, notes

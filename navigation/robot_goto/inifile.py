@@ -1,0 +1,104 @@
+"""``robotGoto`` files of existing robots, of robotology/navigation's releases of 2016 and since."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.sections.robot_goto import LaserPose, RobotGotoSection
+from navigation.ini import Group, Ini
+
+_TRAJECTORY = (
+    ("max_beta_angle", 5.0, 0.1, 180.0, "deg"),
+    ("ang_speed_gain", 0.05, 0.001, 100.0, "(deg/s)/deg"),
+    ("lin_speed_gain", 0.1, 0.001, 100.0, "(m/s)/m"),
+    ("max_lin_speed", 0.9, 0.01, 3.0, "m/s"),
+    ("max_ang_speed", 10.0, 0.5, 360.0, "deg/s"),
+    ("min_lin_speed", 0.0, 0.0, 3.0, "m/s"),
+    ("min_ang_speed", 0.0, 0.0, 360.0, "deg/s"),
+    ("goal_tolerance_lin", 0.05, 0.001, 5.0, "m"),
+    ("goal_tolerance_ang", 0.6, 0.05, 180.0, "deg"),
+)
+_STOP = (
+    ("max_waiting_time", 60.0, 0.0, 86400.0, "s"),
+    ("max_detection_distance", 1.5, 0.05, 10.0, "m"),
+    ("min_detection_distance", 0.4, 0.05, 10.0, "m"),
+)
+_AVOIDANCE = (
+    ("frontal_blind_angle", 25.0, 0.0, 180.0, "deg"),
+    ("speed_reduction_factor", 0.70, 0.0, 0.95, ""),
+)
+
+OTHERS = frozenset({"localizationServer_name", "localization_server_name"})
+"""Keys that say where YARP's servers are: the hub knows them."""
+
+STALE = {
+    ("ROBOT_TRAJECTORY", "max_gamma_angle"): "upstream does not read it either; goal_tolerance_ang is what holds",
+    ("ROBOTGOTO_GENERAL", "autoconnect"): "laser_port is connected always",
+} | {
+    (group, key): "upstream computes no forces by it any more, and the way round obstacles here needs none"
+    for group in ("OBSTACLES_AVOIDANCE", "OBSTACLES_EMERGENCY_STOP")
+    for key in ("max_obstacle_distance", "w_f", "w_t", "max_obst_distance")
+}
+"""Keys that real files have and that change nothing, with why."""
+
+
+def with_file(section: RobotGotoSection, ini: Ini) -> tuple[RobotGotoSection, list[str]]:
+    """A section with what a file says laid under it: what the section itself sets is stronger.
+
+    What the file does not say is as upstream has it by default.
+
+    Returns:
+        the section, and what is odd in the file.
+
+    Raises:
+        IniError: the file cannot be used; the text names file and line of all that is wrong.
+    """
+    found: dict[str, Any] = {}
+    general = ini.group("ROBOTGOTO_GENERAL") if "ROBOTGOTO_GENERAL" in ini else ini.top
+    found["prefix"] = "/" + general.text("name", "/robotGoto").strip("/")
+    trajectory = ini.group("ROBOT_TRAJECTORY", needed=True)
+    found["robot_is_holonomic"] = trajectory.flag("robot_is_holonomic", default=False)
+    _take(trajectory, _TRAJECTORY, found)
+    _take_geometry(ini, found)
+    _take_obstacles(ini, found)
+    places = ini.group("LOCALIZATION")
+    for key, name in (("robot_frame_id", "base_frame"), ("map_frame_id", "frame")):
+        text = places.text(key, "")
+        if text:
+            found[name] = text.lstrip("/")
+    port = ini.group("LASER").text("laser_port", "")
+    if port:
+        found["laser_port"] = "/" + port.strip("/")
+    ini.note_unread(STALE, OTHERS)
+    ini.check()
+    return section.model_copy(
+        update={key: value for key, value in found.items() if key not in section.model_fields_set}
+    ), ini.notes
+
+
+def _take(group: Group, keys: tuple[tuple[str, float, float, float, str], ...], found: dict[str, Any]) -> None:
+    for key, default, low, high, unit in keys:
+        found[key] = group.number(key, default, low, high, unit)
+
+
+def _take_geometry(ini: Ini, found: dict[str, Any]) -> None:
+    geometry = ini.group("ROBOT_GEOMETRY", needed=True)
+    found["robot_radius"] = geometry.number("robot_radius", None, 0.01, 3.0, "m")
+    found["laser_pose"] = LaserPose(
+        x=geometry.number("laser_pos_x", 0.0, -10.0, 10.0, "m"),
+        y=geometry.number("laser_pos_y", 0.0, -10.0, 10.0, "m"),
+        theta=geometry.number("laser_pos_theta", 0.0, -360.0, 360.0, "deg"),
+    )
+
+
+def _take_obstacles(ini: Ini, found: dict[str, Any]) -> None:
+    stop = ini.group("OBSTACLES_EMERGENCY_STOP")
+    for key in ("enable_obstacles_emergency_stop", "enable_dynamic_max_distance"):
+        found[key] = stop.flag(key, default=False)
+    _take(stop, _STOP, found)
+    avoidance = ini.group("OBSTACLES_AVOIDANCE")
+    found["enable_obstacles_avoidance"] = avoidance.flag("enable_obstacles_avoidance", default=False)
+    _take(avoidance, _AVOIDANCE, found)
+    retreat = ini.group("RETREAT_OPTION")
+    found["enable_retreat"] = retreat.flag("enable_retreat", default=False)
+    found["retreat_duration"] = retreat.number("retreat_duration", 0.3, 0.0, 2.0, "s")
