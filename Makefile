@@ -2,7 +2,7 @@
 
 BIN := .venv/bin
 
-.PHONY: help setup demo test lint types check bench lock clean
+.PHONY: help setup demo mix test lint types check bench lock clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -13,6 +13,9 @@ setup: ## install what is missing; done by the others
 
 demo: setup ## real ROS 1, ROS 2 and zenoh programs, bridged (STAY=1 stays, JSON=FILE writes what was seen)
 	@$(BIN)/midspan demo $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
+
+mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE writes the table)
+	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## all tests, on the real middlewares (ARGS='tests/hub -k latched' for some)
 	@$(BIN)/python -m pytest -p no:cacheprovider -n 3 --dist loadfile --no-loadscope-reorder -m 'not alone' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen

@@ -1,0 +1,485 @@
+"""Clients of every side over planners of every side, by one daemon's gateway, with real middlewares on both ends.
+
+``python -m tests.interop.mix_table [--json FILE]`` (`make mix`) prints the table; the test beside it does the same. The
+planner is changed by the configuration while the daemon runs. "ours" is a stand-in on the hub, at the place of
+Midspan's own planners: what these do is shown by their own tests.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from bridge.modules.action_server import Goal
+from bridge.modules.goal import STATUSES, Status, parts
+from bridge.modules.node import Subscription
+from navigation.gateway.link import KEPT, NAVIGATE
+from navigation.status import STATUS
+from tests.contract.hubside import HubSide
+from tests.interop.deployment import Deployment
+from tests.navigation.gateway.rig import Asked, Program, pose
+from tests.support.peer import Peer
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import SHORT_LEASE, ros2_environment, ros2_python
+from tests.support.wait import until
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+
+SECONDS = 40.0
+SPEED, PATIENCE = 2.0, 0.5
+"""Of the stand-ins: m/s, and seconds until a goal that cannot be reached is given up."""
+
+NEAR, FAR, NOWHERE = 1.0, 500.0, 999.0
+"""Goals, metres along x: one that is soon reached, one that is not, and one that cannot be."""
+
+PARTS = ("goto", "feedback", "pause", "resume", "cancel", "abort")
+YARP, ROS1, ROS2, ZENOH = "YARP INavigation2D", "ROS 1 actionlib", "ROS 2 action", "zenoh (hub) action"
+OURS, MOVE_BASE, NAV2 = "ours", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
+IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
+OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
+"""Clients that speak to the planner itself: the gateway has no door there, and pauses nothing of theirs."""
+
+TRIGGER = "std_srvs/Trigger"
+_ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One part of what a client does, over one planner: ``yes``, ``own`` (the planner's own door), or what failed."""
+
+    planner: str
+    client: str
+    part: str
+    seen: str
+    seconds: float
+
+    @property
+    def good(self) -> bool:
+        """Whether it is as it should be."""
+        own = (self.planner, self.client) in OWN and self.part in ("pause", "resume")
+        return self.seen == ("own" if own else "yes")
+
+
+class Client(Protocol):
+    """A program of a side that wants the robot somewhere."""
+
+    def goto(self, x: float) -> None:
+        """Drive there."""
+
+    def progress(self) -> int:
+        """How much it has heard of its goal's progress."""
+
+    def cancel(self) -> None:
+        """Give the goal up."""
+
+    def ask(self, word: str) -> bool:
+        """``pause`` or ``resume``; whether that was done."""
+
+    def end(self) -> str:
+        """How the goal ended, "" while it has not."""
+
+
+class YarpClient:
+    """A client of INavigation2D."""
+
+    def __init__(self, remote: INavigation2DMsgs) -> None:
+        self._remote = remote
+        self._heard = 0
+
+    def goto(self, x: float) -> None:
+        assert self._remote.goto_target_by_absolute_location_RPC(Map2DLocation("map", x, 0.0, 0.0))
+        self._heard = 0
+
+    def progress(self) -> int:
+        self._heard += self._state() == "moving"
+        return self._heard
+
+    def cancel(self) -> None:
+        assert self._remote.stop_navigation_RPC()
+
+    def ask(self, word: str) -> bool:
+        call = {
+            "pause": lambda: self._remote.suspend_navigation_RPC(math.inf),
+            "resume": self._remote.resume_navigation_RPC,
+        }
+        return bool(call[word]())
+
+    def end(self) -> str:
+        ends = {"goal_reached": "succeeded", "idle": "canceled", "aborted": "aborted"}
+        return ends.get(self._state(), "")
+
+    def _state(self) -> str:
+        return self._remote.get_navigation_status_RPC()[1].name.removeprefix("navigation_status_")
+
+
+class RosClient:
+    """A rospy or rclpy program with an action client, and calls of the gateway's services."""
+
+    def __init__(self, peer: Peer, action: str, type_: str, field: str) -> None:
+        self.peer, self._action, self._type, self._field = peer, action, type_, field
+        self._goal = 0
+
+    def goto(self, x: float) -> None:
+        goal = {self._field: pose(x)}
+        sent = self.peer.ask("send_goal", action=self._action, type=self._type, goal=goal, seconds=SECONDS)
+        self._goal = sent["id"]
+
+    def progress(self) -> int:
+        return len(self._told()["feedback"])
+
+    def cancel(self) -> None:
+        self.peer.ask("cancel", id=self._goal)
+
+    def ask(self, word: str) -> bool:
+        call = self.peer.ask("call", service=f"/navigation/{word}", type=TRIGGER)["id"]
+        reply = self.peer.ask("result", id=call, seconds=SECONDS)["reply"]
+        return bool(reply and reply["success"])
+
+    def end(self) -> str:
+        return _ENDS.get(self._told()["status"], "")
+
+    def _told(self) -> dict[str, Any]:
+        return self.peer.ask("goal", id=self._goal, seconds=0.0)
+
+
+class ZenohClient:
+    """A program on the hub itself."""
+
+    def __init__(self, program: Program, far: HubSide) -> None:
+        self._program, self._far = program, far
+        self._asked: Asked | None = None
+
+    def goto(self, x: float) -> None:
+        self._asked = Asked(self._program, pose(x))
+
+    def progress(self) -> int:
+        assert self._asked is not None
+        return len(self._asked.feedback)
+
+    def cancel(self) -> None:
+        assert self._asked is not None
+        self._asked.cancel()
+
+    def ask(self, word: str) -> bool:
+        return bool(self._far.call(f"/navigation/{word}", TRIGGER).result(SECONDS)["reply"]["success"])
+
+    def end(self) -> str:
+        assert self._asked is not None
+        return _ENDS.get(int(self._asked.sent.status), "") if self._asked.ended else ""
+
+
+class HubPlanner(Program):
+    """A planner on the hub that drives as the other stand-ins do."""
+
+    def __init__(self, settings: Any, name: str) -> None:
+        super().__init__(settings)
+        self._x, self._goal, self._since = 0.0, None, 0.0
+        self.on(
+            lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
+        )
+        self.loop.every(0.1, self._step)
+
+    def _take(self, goal: Goal) -> bool:
+        if self._goal is not None:
+            self._goal.canceled({"error_msg": "another goal took its place"})
+        self._goal: Goal | None = goal
+        self._since = time.monotonic()
+        goal.execute()
+        return True
+
+    def _cancel(self, goal: Goal) -> bool:
+        if goal is self._goal:
+            self._goal = None
+        self.loop.post(lambda: goal.canceled({"error_msg": "canceled"}))
+        return True
+
+    def _step(self) -> None:
+        goal = self._goal
+        if goal is None:
+            return
+        left = goal.goal["pose"]["pose"]["position"]["x"] - self._x
+        if left > 900.0 - self._x - 1.0:
+            if time.monotonic() - self._since > PATIENCE:
+                self._goal = None
+                goal.abort({"error_code": 9006, "error_msg": "no way leads there"})
+            return
+        self._x += math.copysign(min(abs(left), 0.1 * SPEED), left)
+        goal.feedback({"current_pose": pose(self._x), "distance_remaining": abs(left)})
+        if abs(left) <= 0.1 * SPEED:
+            self._goal = None
+            goal.succeed()
+
+    def stop(self) -> None:
+        """Leave the hub."""
+        self.close()
+
+
+class Mix:
+    """One daemon with a gateway, a client on each side, and one planner after the other."""
+
+    def __init__(self, deployment: Deployment) -> None:
+        self.deployment = deployment
+        self._names = Address("127.0.0.1", free_port())
+        self._planner: Any = None
+        self._list: Subscription | None = None
+        self.listed: dict[bytes, Status] = {}
+        self.statuses: list[dict[str, Any]] = []
+        deployment.start(**self._sections(OURS))
+        self._hub = Program(deployment.settings("mix"))
+        deployment.keep(_Closing(self._hub))
+        self._hub.node.subscription("/navigation/status", STATUS, self.statuses.append, KEPT)
+        self.clients = self._clients()
+
+    def _sections(self, planner: str) -> dict[str, Any]:
+        place = f"{self._names.host}:{self._names.port}"
+        return {
+            "yarp": {"nameserver": "embedded", "address": place, "poll": 0.1},
+            "navigation": {"planner": IDS[planner], "patience": 60.0},
+            "store": {"enabled": True},
+        }
+
+    def _clients(self) -> dict[str, Client]:
+        names = NameClient(self._names, namespace="/root")
+        ros1, ros2 = self.deployment.ros1("client1"), self.deployment.ros2("client2")
+        until(lambda: names.query("/navigationServer/rpc"), "the YARP door is open", SECONDS)
+        remote = ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=names, timeout=SECONDS)
+        self.deployment.keep(_Closing(remote.open()))
+        return {
+            YARP: YarpClient(remote.remote),
+            ROS1: RosClient(ros1, "/move_base", "move_base_msgs/MoveBase", "target_pose"),
+            ROS2: RosClient(ros2, "/navigate_to_pose", "nav2_msgs/NavigateToPose", "pose"),
+            ZENOH: ZenohClient(self._hub, self.deployment.zenoh()),
+        }
+
+    # -- planners ------------------------------------------------------------------------------------------------------
+
+    def start(self, planner: str) -> None:
+        """Start a planner's program, and have the gateway take it: by the configuration, without a restart."""
+        speed, patience = str(SPEED), str(PATIENCE)
+        support = Path(__file__).parents[1] / "support"
+        if planner == OURS:
+            self._planner = HubPlanner(self.deployment.settings(IDS[planner]), IDS[planner])
+        elif planner == MOVE_BASE:
+            program = [ROS1_PYTHON, support / "ros1_move_base.py", speed, patience]
+            self._planner = Process(program, self.deployment.master.env)
+        else:
+            env = {**ros2_environment(), **SHORT_LEASE}
+            self._planner = Process([ros2_python(), support / "ros2_nav2.py", speed, patience], env)
+        self.deployment.keep(self._planner)
+
+    def choose(self, planner: str) -> None:
+        """Have the gateway take a planner, by the configuration, without a restart."""
+        self.deployment.configure(**self._sections(planner))
+        self.deployment.hang_up()
+        self._follow(IDS[planner])
+        until(lambda: self._chosen(planner), f"{planner} is the planner", SECONDS, 0.1)
+
+    def _chosen(self, planner: str) -> bool:
+        found = [one for one in self.deployment.status() if one.get("worker") == "gateway"]
+        return bool(found) and found[0]["planner"] == IDS[planner] and found[0]["state"] == "running"
+
+    def end(self) -> None:
+        """Have the planner's program end in good order: a name that ROS's master still has is another's."""
+        self._planner.stop()
+
+    def _follow(self, planner: str) -> None:
+        if self._list is not None:
+            self._hub.on(lambda: self._hub.node.release(self._list))  # type: ignore[arg-type]
+        self.listed = {}
+        topic = parts(f"/planner/{planner}/navigate_to_pose").status
+        self._list = self._hub.on(lambda: self._hub.node.subscription(topic, STATUSES, self._hear, KEPT))
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        self.listed = {
+            bytes(one["goal_info"]["goal_id"]["uuid"]): Status(one["status"]) for one in message["status_list"]
+        }
+
+    def driving(self) -> set[bytes]:
+        """The goals that the planner has."""
+        return {goal for goal, status in list(self.listed.items()) if not status.terminal}
+
+    def state(self) -> str:
+        """What the gateway says."""
+        return str(self.statuses[-1]["state"]) if self.statuses else ""
+
+    # -- what is tried -------------------------------------------------------------------------------------------------
+
+    def cells(self, planner: str, name: str) -> Iterator[Cell]:
+        """All parts, by one client."""
+        client = self.clients[name]
+        own = (planner, name) in OWN
+        tries: dict[str, Callable[[], str]] = {
+            "goto": lambda: self._goto(client),
+            "feedback": lambda: self._feedback(client),
+            "pause": lambda: self._pause(client, own=own),
+            "resume": lambda: self._resume(client, own=own),
+            "cancel": lambda: self._cancel(client),
+            "abort": lambda: self._abort(client),
+        }
+        for part in PARTS:
+            yield _tried(planner, name, part, tries[part])
+
+    def faults(self, planner: str) -> Iterator[Cell]:
+        """Who is killed in the middle of a goal, and what the others see of it."""
+        tries = {
+            MOVE_BASE: ("planner killed, and back", ROS2, self._kill_planner),
+            NAV2: ("client killed", ROS1, self._kill_client),
+        }
+        if planner not in tries:
+            return
+        part, name, attempt = tries[planner]
+        yield _tried(planner, name, part, lambda: attempt(planner, self.clients[name]))
+
+    def _kill_planner(self, planner: str, client: Client) -> str:
+        client.goto(FAR)
+        until(lambda: client.progress(), "progress is heard", SECONDS)
+        self._planner.stop(0)
+        until(
+            lambda: self.state() == "error" and "not there" in self.statuses[-1]["reason"],
+            "everybody hears why",
+            SECONDS,
+        )
+        assert client.end() == "", f"the client's goal ended: {client.end()}"
+        self.start(planner)
+        heard = client.progress()
+        until(lambda: client.progress() > heard, "it goes on", SECONDS)
+        return self._cancel(client)
+
+    def _kill_client(self, _planner: str, client: Client) -> str:
+        client.goto(FAR)
+        until(lambda: client.progress(), "progress is heard", SECONDS)
+        assert isinstance(client, RosClient)
+        client.peer.stop(0)
+        other = self.clients[YARP]
+        assert self.driving(), "the goal goes on, as without a bridge"
+        other.cancel()
+        self._ends(other, "canceled", "idle")
+        return "yes"
+
+    def _goto(self, client: Client) -> str:
+        client.goto(NEAR)
+        self._ends(client, "succeeded", "goal_reached")
+        return "yes"
+
+    def _feedback(self, client: Client) -> str:
+        client.goto(FAR)
+        until(lambda: client.progress() >= 3, "progress is heard", SECONDS)
+        until(lambda: self.state() == "moving", "everybody sees that it moves", SECONDS)
+        return "yes"
+
+    def _pause(self, client: Client, *, own: bool) -> str:
+        if own:
+            assert not client.ask("pause"), "a goal of the planner's own client was paused"
+            return "own"
+        assert client.ask("pause"), "the pause was refused"
+        until(lambda: not self.driving() and self.state() == "paused", "it stands", SECONDS)
+        assert client.end() == "", f"the client's goal ended in the pause: {client.end()}"
+        return "yes"
+
+    def _resume(self, client: Client, *, own: bool) -> str:
+        if own:
+            assert not client.ask("resume"), "what was never paused was resumed"
+            return "own"
+        before, heard = set(self.listed), client.progress()
+        assert client.ask("resume"), "it was refused to go on"
+        until(lambda: self.driving() - before, "it has a new goal", SECONDS)
+        until(lambda: client.progress() > heard, "there is progress again", SECONDS)
+        return "yes"
+
+    def _cancel(self, client: Client) -> str:
+        client.cancel()
+        self._ends(client, "canceled", "idle")
+        return "yes"
+
+    def _abort(self, client: Client) -> str:
+        client.goto(NOWHERE)
+        self._ends(client, "aborted", "aborted")
+        return "yes"
+
+    def _ends(self, client: Client, end: str, state: str) -> None:
+        until(client.end, "the client hears of its goal's end", SECONDS)
+        assert client.end() == end, f"{client.end()}, not {end}"
+        until(lambda: not self.driving(), "the planner has no goal", SECONDS)
+        until(lambda: self.state() == state, f"everybody sees {state}", SECONDS)
+
+
+def _tried(planner: str, client: str, part: str, attempt: Callable[[], str]) -> Cell:
+    began = time.monotonic()
+    try:
+        seen = attempt()
+    except AssertionError as err:
+        seen = f"failed: {err}"
+    return Cell(planner, client, part, seen, round(time.monotonic() - began, 2))
+
+
+class _Closing:
+    """Something with `close`, as `Deployment.keep` wants it."""
+
+    def __init__(self, thing: Any) -> None:
+        self._thing = thing
+
+    def stop(self) -> None:
+        self._thing.close()
+
+
+def table(deployment: Deployment) -> Iterator[Cell]:
+    """Start the daemon, and try every client over every planner."""
+    mix = Mix(deployment)
+    for planner in IDS:
+        mix.start(planner)
+        mix.choose(planner)
+        for client in mix.clients:
+            yield from mix.cells(planner, client)
+        yield from mix.faults(planner)
+        mix.end()
+
+
+def text(cells: list[Cell]) -> str:
+    """The table: a line for each client over each planner."""
+    lines = [("planner", "client", *PARTS)]
+    for planner in IDS:
+        for client in (YARP, ROS1, ROS2, ZENOH):
+            seen = {cell.part: cell for cell in cells if (cell.planner, cell.client) == (planner, client)}
+            marks = [_mark(seen[part]) if part in seen else "?" for part in PARTS]
+            lines.append((planner, client, *marks))
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    rows = ["  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines]
+    rows += [f"{c.part} ({c.planner}; {c.client}): {_mark(c)}" for c in cells if c.part not in PARTS]
+    failed = [f"{c.planner}, {c.client}, {c.part}: {c.seen}" for c in cells if not c.good]
+    own = "own: the client speaks to the planner itself, whose protocol has no pause"
+    return "\n".join([*rows, own, *failed])
+
+
+def _mark(cell: Cell) -> str:
+    mark = cell.seen if cell.good else "FAILED"
+    return f"{mark} {cell.seconds:.1f} s" if mark == "yes" else mark
+
+
+def main() -> int:
+    """Print the table; 1 where something is not as it should be."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table to this file")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
+        cells = list(table(deployment))
+    print(text(cells))
+    if args.json:
+        args.json.write_text(json.dumps([{**asdict(one), "good": one.good} for one in cells], indent=2) + "\n")
+    return int(not all(one.good for one in cells))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,20 @@
+"""Clients of every side over planners of every side, in one table, which is printed at the end of the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tests.interop import mix_table
+from tests.interop.deployment import Deployment
+
+
+def test_every_client_drives_by_every_planner(
+    deployment: Deployment, record_property: Callable[[str, object], None]
+) -> None:
+    cells = list(mix_table.table(deployment))
+    found = mix_table.text(cells)
+    record_property("table", found)
+    assert all(cell.good for cell in cells), found
+    parts = [cell for cell in cells if cell.part in mix_table.PARTS]
+    assert len({(cell.planner, cell.client, cell.part) for cell in parts}) == 3 * 4 * 6
+    assert len(cells) == len(parts) + 2
