@@ -2,8 +2,8 @@
 
 Simulator, BaseControl, RobotGoto, RobotPathPlanner and the localiser (odometry drifts) in lock-step in one process.
 People walk as the plans have them. A contact is a tick (10 ms) in which the moving robot's hull touches something; a
-keep-out entry a look (50 ms) at which its hull is within such an area. The peer of the way driven is the shortest way on
-the map; the real time factor is simulated seconds per second of processor time, all of it counted.
+keep-out entry a look (50 ms) at which its hull is within such an area. The peer of the way driven is the shortest way
+on the map; the real time factor is simulated seconds per second of processor time, all of it counted.
 
     python benchmarks/goals.py --world apartment --base r1 --goals 100 [--seed 1] [--json FILE]
 """

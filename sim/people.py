@@ -9,8 +9,8 @@ from collections.abc import Iterable
 from sim.pieces import Piece, of_person
 from sim.plan import Person, Point
 
-_PATIENCE = 5.0
-"""Seconds that somebody waits for a robot in the way, and then turns to the next point of the path."""
+_PATIENCE, _REST = 5.0, 20.0
+"""Seconds that somebody waits for a robot in the way before turning to the next point of the path, and rests there."""
 
 
 class Walker:
@@ -29,7 +29,8 @@ class Walker:
         self.x, self.y = person.at
         self._way: deque[Point] = deque(person.path)
         self._loop = person.loop
-        self._waited = 0.0
+        self._waited = self._rest = 0.0
+        self._gives_way = False
 
     def send(self, path: Iterable[Point], *, loop: bool = False) -> None:
         """Have the person walk to these points, one after the other."""
@@ -41,6 +42,9 @@ class Walker:
 
     def walk(self, seconds: float, robot: Point, room: float) -> bool:
         """Walk for so long; whether the person moved. Within ``room`` metres of the robot they come no nearer."""
+        if self._rest > 0.0:
+            self._rest -= seconds
+            return False
         left = self.person.speed * seconds
         x, y = self.x, self.y
         while self._way and left > 0.0:
@@ -51,6 +55,8 @@ class Walker:
                 break
             (x, y), left = goal, left - away
             self._way.popleft()
+            if self._gives_way:
+                self._gives_way, self._rest, left = False, _REST, 0.0
             if self._loop:
                 self._way.append(goal)
             if away == 0.0 and len(self._way) <= 1:
@@ -69,5 +75,5 @@ class Walker:
     def _wait(self, seconds: float) -> None:
         self._waited += seconds
         if self._waited > _PATIENCE and len(self._way) > 1:
-            self._waited = 0.0
+            self._waited, self._gives_way = 0.0, True
             self._way.rotate(-1)

@@ -17,7 +17,7 @@ NEAR_METRES, NEAR_DEGREES = 0.25, 10.0
 """In truth so near to its goal a robot is that says to have reached it: its tolerance and its localiser's error."""
 
 _SPEED = 0.1
-_EXTRA = 90.0
+_EXTRA = 180.0
 
 
 class Stack(Protocol):
