@@ -103,10 +103,11 @@ class Config(Section):
         found = self.modules.sections
         if self.navigation.planner:
             found["gateway"] = self.navigation
-        return {name: _filled(section, {"map": self.navigation.map}) for name, section in found.items()}
+        defaults = {"map": self.navigation.map, "source": self.navigation.localizer}
+        return {name: _filled(section, defaults) for name, section in found.items()}
 
 
-def _filled(section: Section, defaults: dict[str, str]) -> Section:
+def _filled(section: Section, defaults: dict[str, str | None]) -> Section:
     """The section with these values where it has None."""
     left = {name: value for name, value in defaults.items() if getattr(section, name, value) is None}
     return section.model_copy(update=left) if left else section

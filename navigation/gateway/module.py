@@ -25,7 +25,7 @@ STATUS_TOPIC = "/navigation/status"
 _AGAIN_SECONDS = 5.0
 """After so long YARP's ports say the status again, as YARP's own do."""
 
-_CHANGEABLE = ("planner", "planners", "map", "patience")
+_CHANGEABLE = ("planner", "planners", "localizer", "map", "patience")
 
 
 class GatewayModule(Module):

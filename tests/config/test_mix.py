@@ -133,6 +133,13 @@ def test_what_cannot_be_is_told(section: dict[str, Any], said: str) -> None:
         Config.model_validate({"navigation": section})
 
 
+def test_what_modules_leave_open_is_as_the_section_says() -> None:
+    for own, said in (({}, "/map"), ({"map": "/mine"}, "/mine")):
+        modules = {"robot_path_planner": {"enabled": True, **own}}
+        config = Config.model_validate({"navigation": {"map": "/map"}, "modules": modules})
+        assert config.hosted["robot_path_planner"].model_dump()["map"] == said
+
+
 def test_the_choice_is_of_what_is_there() -> None:
     section = Config.model_validate({"navigation": {"planner": "move_base"}}).navigation
     assert section.choices == (*OURS, "move_base")

@@ -145,6 +145,10 @@ class NavigationSection(Section):
     planners: tuple[Planner, ...] = Field(
         default=(), description="Planners that are not Midspan's, beside or instead of `move_base` and `nav2`."
     )
+    localizer: Literal["own", "amcl", "tf", "topic", "port", "server"] | None = Field(
+        default=None,
+        description="Who says where the robot is, as `modules.localization_server.source`; empty: as it says there.",
+    )
     map: str = Field(
         default="store",
         description="The map that Midspan's planner and localiser use: `store` (the store's current one), or a topic of"
