@@ -123,7 +123,7 @@ class Device:
         return found
 
     def _begin(self, targets: Sequence[Target]) -> None:
-        self._gateway.begin(targets, WHO)
+        self._gateway.go(targets, WHO)
 
     def _stop(self) -> None:
         self._commander.stop()

@@ -25,6 +25,8 @@ CANCEL_SECONDS = 5.0
 """After so long without an answer to a cancellation the client is told that it ended."""
 
 _LOOK_SECONDS = 0.1
+_BETWEEN_MAPS = "robot_path_planner"
+"""The planner that drives to other maps, through links: there the goal's frame is the map's name."""
 
 Message = dict[str, Any]
 
@@ -85,6 +87,17 @@ class Gateway:
             goal.execute()
         self._send(self.drive, None if before is None else before.below)
         return self.drive
+
+    def go(self, places: Sequence[Target], who: str, name: str = "") -> None:
+        """Drive to places of the store, one after the other.
+
+        Raises:
+            RefusedError: one is on another map than the one in use, and the planner knows no way there.
+        """
+        elsewhere = [one.frame for one in places if one.frame != self.frame]
+        if elsewhere and self.planner != _BETWEEN_MAPS:
+            raise RefusedError(f"it is on the map {elsewhere[0]}; {self.planner} knows only the one that is in use")
+        self.begin(places, who, name)
 
     def pause(self, seconds: float = float("inf")) -> None:
         """Stand still; the client's goal stays active.

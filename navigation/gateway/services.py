@@ -37,7 +37,7 @@ class Services:
         node.server("/navigation/get_location", GET_LOCATION, self._locate)
 
     def _go_to(self, name: str) -> str:
-        self._gateway.begin([self._places.find(name)], "a caller of /navigation/go_to", name)
+        self._gateway.go([self._places.find(name)], "a caller of /navigation/go_to", name)
         return f"drives to {name}; /navigation/status tells how it gets on"
 
     def _locate(self, request: dict[str, Any], answer: Answer) -> None:
