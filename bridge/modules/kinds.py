@@ -12,6 +12,7 @@ KINDS: dict[str, str] = {
     "base_control": "navigation.base_control.module:BaseControl",
     "gateway": "navigation.gateway.module:GatewayModule",
     "map2d_server": "navigation.map2d_server.module:Map2DServer",
+    "mapper2d": "navigation.mapper2d.module:Mapper2D",
     "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",
     "transform_server": "bridge.tf.server.module:TransformServer",
 }

@@ -8,6 +8,7 @@ so that walls seen at a glancing angle stay: in an apartment 98 % of the walls i
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ class OccupancyMap:
         Raises:
             ValueError: the pose is not finite.
         """
-        if not np.isfinite(pose).all():
+        if not all(map(math.isfinite, pose)):
             raise ValueError(f"a scan's pose is finite, not {pose}")
         beams = np.ascontiguousarray(ranges, np.float64)
         place = ((pose[0] - self.origin[0]) / self.resolution, (pose[1] - self.origin[1]) / self.resolution)
@@ -122,10 +123,16 @@ def _insert(
     the beams beside it: one that runs along a wall would free the cells between the places where they hit it.
     """
     rows, columns = odds.shape
+    # of the map's own kind, so that many cells are changed at once
+    hit_, pass_, nothing = np.float32(HIT), np.float32(PASS), np.float32(0.0)
+    least, most = np.float32(LEAST), np.float32(MOST)
     column, row = int(np.floor(x)), int(np.floor(y))
     left, right, bottom, top = column, column, row, row
     hits = 0
+    turn_x, turn_y = np.cos(step), np.sin(step)
+    dx, dy = np.cos(direction + first - step), np.sin(direction + first - step)
     for beam in range(len(ranges)):
+        dx, dy = dx * turn_x - dy * turn_y, dx * turn_y + dy * turn_x
         metres = ranges[beam]
         if np.isnan(metres) or metres <= 0.0:
             continue
@@ -134,8 +141,6 @@ def _insert(
             if 0 <= beside < len(ranges) and 0.0 < ranges[beside] < clear:
                 clear = ranges[beside]
         length, clear = min(metres, farthest) / resolution, min(clear, farthest) / resolution
-        angle = direction + first + step * beam
-        dx, dy = np.cos(angle), np.sin(angle)
         end_column, end_row = int(np.floor(x + length * dx)), int(np.floor(y + length * dy))
         left, right = min(left, end_column), max(right, end_column)
         bottom, top = min(bottom, end_row), max(top, end_row)
@@ -169,8 +174,8 @@ def _insert(
         for other in range(max(left - 1, 0), min(right + 2, columns)):
             mark = marks[at, other]
             touched += mark != 0
-            change = HIT if mark == 2 else (PASS if mark == 1 else 0.0)
-            odds[at, other] = min(max(odds[at, other] + change, LEAST), MOST)
+            change = hit_ if mark == 2 else (pass_ if mark == 1 else nothing)
+            odds[at, other] = min(max(odds[at, other] + change, least), most)
             marks[at, other] = 0
     return touched
 

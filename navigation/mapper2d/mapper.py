@@ -66,6 +66,8 @@ class Mapper:
         self.settings, self.name = settings, settings.name
         self.mapping = True
         self.enlarged = 0.0
+        self._fan: tuple[int, float, float, NDArray[np.float64], NDArray[np.float64]]
+        self._fan = 0, 0.0, 0.0, np.empty(0), np.empty(0)
         self.clear()
 
     def clear(self) -> None:
@@ -88,13 +90,13 @@ class Mapper:
         """
         if not self.mapping:
             return False
-        if not np.isfinite(pose[:3]).all():
+        if not all(map(math.isfinite, pose[:3])):
             raise ValueError(f"a scan's pose is finite, not {pose[:3]}")
         beams: NDArray[np.float64] = np.asarray(ranges, np.float64)
         farthest = min(farthest, self.settings.farthest)
         if not self.scans and not self._known():
             self._begin((pose.x, pose.y))
-        self._reach(pose, beams, first + step * np.arange(beams.size), farthest)
+        self._reach(pose, np.where((beams > 0.0) & (beams <= farthest), beams, 0.0), first, step)
         self._map.insert((pose.x, pose.y, pose.theta), beams, first, step, farthest)
         self.scans += 1
         return True
@@ -200,12 +202,14 @@ class Mapper:
     def _known(self) -> bool:
         return bool(self._map.odds.any() or (self._paint != _BARE).any())
 
-    def _reach(self, pose: Pose, ranges: NDArray[np.float64], angles: NDArray[np.float64], farthest: float) -> None:
-        """Grow until the robot and all that it sees is on the map, as far as the map may."""
-        hits = (ranges > 0.0) & (ranges <= farthest)
-        angles = angles[hits] + pose.theta
-        x = np.append(pose.x + ranges[hits] * np.cos(angles), pose.x)
-        y = np.append(pose.y + ranges[hits] * np.sin(angles), pose.y)
+    def _reach(self, pose: Pose, hits: NDArray[np.float64], first: float, step: float) -> None:
+        """Grow until the robot and all that it sees is on the map, as far as the map may; ``hits``: metres or 0."""
+        if self._fan[:3] != (hits.size, first, step):
+            angles = first + step * np.arange(hits.size)
+            self._fan = hits.size, first, step, np.cos(angles), np.sin(angles)
+        ahead, aside = hits * self._fan[3], hits * self._fan[4]
+        c, s = math.cos(pose.theta), math.sin(pose.theta)
+        x, y = pose.x + c * ahead - s * aside, pose.y + s * ahead + c * aside
         cell, (left, bottom) = self.settings.resolution, self._map.origin
         rows, columns = self._map.odds.shape
         beyond = (
@@ -216,9 +220,10 @@ class Mapper:
         )
         self.full = False
         if max(beyond) > 0.0:
-            step = math.ceil(_STEP / cell)
+            ahead_of_need = math.ceil(_STEP / cell)
             fine = [max(0, math.ceil(side)) for side in beyond]
-            self.full = not (self._grow(*(-(-side // step) * step for side in fine)) or self._grow(*fine))
+            coarse = [math.ceil(side / ahead_of_need) * ahead_of_need for side in fine]
+            self.full = not (self._grow(*coarse) or self._grow(*fine))
 
     def _grow(self, below: int, above: int, left: int, right: int) -> bool:
         """Add cells at the sides; False where the map would be too large, and then nothing is done."""

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.base_control import BaseControlSection
+from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
@@ -57,6 +58,10 @@ class ModulesSection(Section):
     map2d_server: Map2DServerSection = Field(
         default_factory=Map2DServerSection,
         description="The maps and places of the store for YARP, ROS 1 and ROS 2; see docs/maps.md.",
+    )
+    mapper2d: Mapper2DSection = Field(
+        default_factory=Mapper2DSection,
+        description="A map from a laser and a pose that is given; see docs/mapper2d.md.",
     )
     robot_path_planner: RobotPathPlannerSection = Field(
         default_factory=RobotPathPlannerSection,

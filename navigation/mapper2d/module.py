@@ -1,0 +1,205 @@
+"""The module Mapper2D: scans of the hub become a map, for every side and for the store."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.config.sections.mapper2d import Mapper2DSection
+from bridge.config.sections.section import Section
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.modules.services import Answer
+from bridge.stores.errors import StoreError
+from bridge.worker import Health
+from navigation.frames import FramesError
+from navigation.map2d_server.folder import MapsFolder
+from navigation.mapper2d.canvas import Canvas
+from navigation.mapper2d.mapper import Mapper, Settings
+from navigation.mapper2d.poses import COVARIANT, Poses, of_message
+from navigation.mapper2d.settings import with_file
+from navigation.mapper2d.words import Words
+from navigation.maps.cdr import to_cdr
+from navigation.pose import Pose
+from yarp_compat.pythonic import Received
+from yarp_compat.wire.errors import WireError
+
+SCAN, GRID, TRIGGER = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "std_srvs/srv/Trigger"
+LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+
+_WAITING = 20
+"""Scans that may wait until it is known where they were made."""
+
+_PATIENCE_NS = 1_000_000_000
+_BEAT = 0.05
+_SILENT_NS = 2_000_000_000
+
+
+class _Scan(NamedTuple):
+    """A scan that waits for its pose; ``came``: ns of the run's clock."""
+
+    came: int
+    stamp: int
+    frame: str
+    ranges: NDArray[np.float64]
+    first: float
+    step: float
+    farthest: float
+
+
+class Mapper2D(Module):
+    """Makes a map while the robot is driven about."""
+
+    name = "mapper2d"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Open what the section names, and begin to map."""
+        assert isinstance(section, Mapper2DSection)
+        section, self._notes = with_file(section)
+        for note in self._notes:
+            host.log.warning("%s", note)
+        self._host, self._section = host, section
+        self.mapper = Mapper(
+            Settings(
+                name=section.map_name,
+                width=section.width,
+                height=section.height,
+                resolution=section.resolution,
+                farthest=section.farthest,
+                largest=max(section.largest, section.width, section.height),
+            )
+        )
+        self.mapper.mapping = section.mapping
+        self._waiting: deque[_Scan] = deque(maxlen=_WAITING)
+        self._heard: int | None = None
+        self._dropped, self._trouble, self._told = 0, "", 0
+        self._changed = True
+        self._poses = Poses(host, section)
+        self._canvas = Canvas(self.mapper)
+        folder = MapsFolder(section.folder or host.folder / "maps")
+        self._words = Words(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
+        host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
+        self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
+        if section.initial_pose:
+            host.node.subscription(section.initial_pose, COVARIANT, lambda m: self._poses.set(Pose(*of_message(m))))
+        self._offer(host, section.prefix)
+        host.on_jump(self._waiting.clear)
+        host.every(_BEAT, self._work)
+        host.every(section.period, self._tell)
+
+    def _offer(self, host: Host, prefix: str) -> None:
+        host.yarp.respond(f"{prefix}/rpc", lambda values: host.loop.call(lambda: self._asked(values)))
+        self._picture = host.yarp.output(f"{prefix}/map:o", "yarp/image")
+        host.yarp.input(f"{prefix}/yarpviewTarget:i", self._click)
+        for word, done in (("start", "mapping"), ("stop", "not mapping")):
+            host.node.server(f"/{self.name}/{word}", TRIGGER, self._trigger(word, done))
+        host.node.server(f"/{self.name}/save", TRIGGER, self._save)
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        now = self._host.clock.now_ns()
+        self._heard = now
+        if not self.mapper.mapping:
+            return
+        header = message["header"]
+        stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
+        ranges = np.array(message["ranges"], np.float64)
+        with np.errstate(invalid="ignore"):
+            ranges[ranges < max(message["range_min"], 1e-3)] = np.nan
+            ranges[ranges > message["range_max"]] = np.inf
+        if len(self._waiting) == _WAITING:
+            self._dropped += 1
+        first, step, farthest = message["angle_min"], message["angle_increment"], message["range_max"]
+        self._waiting.append(_Scan(now, stamp or now, header["frame_id"], ranges, first, step, farthest))
+        self._work()
+
+    def _work(self) -> None:
+        """Map the scans whose poses are known by now; those that nobody says a pose of are dropped."""
+        now = self._host.clock.now_ns()
+        while self._waiting:
+            scan = self._waiting[0]
+            try:
+                pose = self._poses.laser(scan.frame, scan.stamp)
+                self.mapper.scan(pose, scan.ranges, scan.first, scan.step, scan.farthest)
+            except FramesError as err:
+                if now - scan.came < _PATIENCE_NS:
+                    return
+                self._drop(str(err))
+            except ValueError as err:
+                self._drop(str(err))
+            else:
+                self._trouble, self._changed = "", True
+            self._waiting.popleft()
+
+    def _drop(self, why: str) -> None:
+        self._dropped += 1
+        if why != self._trouble:
+            self._host.log.log(logging.WARNING, "a scan is left out: %s", why)
+        self._trouble = why
+
+    def _tell(self) -> None:
+        """Publish and show the map, where it is another now."""
+        if self._changed and self._map is not None:
+            self._map.publish_cdr(bytes(to_cdr(self.mapper.grid(), self._section.map_frame, self._host.clock.now_ns())))
+        self._changed = False
+        if self._picture.heard:
+            try:
+                robot = self._poses.robot()
+            except FramesError:
+                robot = None
+            self._picture.write(self._canvas.picture(robot))
+
+    def _asked(self, values: list[Any]) -> list[Any]:
+        answer = self._words.answer(values)
+        self._changed = True
+        return answer
+
+    def _click(self, received: Received) -> None:
+        values = received.values
+        try:
+            self._host.loop.call(lambda: self._canvas.clicked(values))
+        except ValueError as err:
+            raise WireError(str(err)) from None  # the port counts it, and tells of it now and then
+        self._changed = True
+
+    def _trigger(self, word: str, done: str) -> Callable[[dict[str, Any], Answer], None]:
+        def serve(_request: dict[str, Any], answer: Answer) -> None:
+            self._words.answer([word])
+            answer({"success": True, "message": done})
+
+        return serve
+
+    def _save(self, _request: dict[str, Any], answer: Answer) -> None:
+        try:
+            answer({"success": True, "message": self._words.save()})
+        except (StoreError, ValueError) as err:
+            answer({"success": False, "message": str(err)})
+
+    def health(self) -> Health:
+        """Whether it maps, and what of."""
+        if not self.mapper.mapping:
+            return Health("running", "stopped: it takes no scans until 'start'")
+        if self._heard is None or self._host.clock.now_ns() - self._heard > _SILENT_NS:
+            return Health("waiting", f"no scan is heard on {self._section.scan}")
+        if self._trouble:
+            return Health("waiting", self._trouble)
+        width, height = self.mapper.size
+        full = "; the map is as large as it may be (largest)" if self.mapper.full else ""
+        return Health("running", f"map {self.mapper.name}: {width:g} x {height:g} m{full}")
+
+    def status(self) -> dict[str, Any]:
+        """The map, and what was left out."""
+        return {
+            "map": self.mapper.name,
+            "mapping": self.mapper.mapping,
+            "size": list(self.mapper.size),
+            "scans": self.mapper.scans,
+            "dropped": self._dropped,
+            "trouble": self._trouble,
+            "notes": list(self._notes),
+        }

@@ -1,0 +1,131 @@
+"""Mapper2D on a hub and on YARP: scans in, a map out to every side, and paint."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bridge.stores.kinds import MAP
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader, Writer
+from yarp_compat.sig.image import ImageRgb
+
+BEAMS = 360
+RADIUS = 2.02
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
+    with Place(tmp_path_factory.mktemp("place")) as made:
+        server = NameServer(port=made.port, gc_seconds=0)
+        server.open()
+        section = {"enabled": True, "pose": "port", "laser": [0.5, 0.0, 90.0], "period": 0.1, "width": 8, "height": 8}
+        made.worker.start(made.config(modules={"mapper2d": section}))
+        until(lambda: made.names.query("/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
+        until(lambda: made.names.query("/mapper2D/odometry:i"), "all ports are registered", 30)
+        yield made
+        made.worker.stop()
+        server.close()
+
+
+def asked(place: Place, *words: Any) -> Any:
+    with Client("/mapper2D/rpc", naming=place.names) as client:
+        return client.ask(list(words))
+
+
+def scans(place: Place) -> None:
+    """Say poses and scans of a round room of which the robot is in the middle, until they are mapped."""
+    out = place.far.advertise("/scan", "sensor_msgs/LaserScan")
+
+    def mapped() -> bool:
+        with Writer(naming=place.names) as writer:
+            writer.connect("/mapper2D/odometry:i")
+            for number in range(20):
+                now = time.time()
+                writer.write(OdometryData(1.0, 2.0, 30.0), envelope=f"{number} {now:.9f}")
+                stamp = {"sec": int(now), "nanosec": int(now % 1 * 1e9)}
+                scan = {"angle_min": -math.pi, "angle_increment": math.tau / BEAMS, "ranges": [RADIUS] * BEAMS}
+                header = {"stamp": stamp, "frame_id": "laser"}
+                place.far.publish(out, {**scan, "header": header, "range_min": 0.1, "range_max": 20.0})
+        return bool((place.status("mapper2d") or {}).get("scans", 0) > 3)
+
+    until(mapped, "scans are mapped", 30)
+
+
+def test_a_map_is_made_painted_and_saved(place: Place) -> None:
+    assert asked(place, "clear") == ["A new map is begun."]
+    assert asked(place, "start") == ["Mapping."]
+    topic = place.far.subscribe("/mapper2d/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+    scans(place)
+    assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
+    # half a metre ahead of the robot, which looks 30 degrees to the left
+    middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
+    until(lambda: {100, 0, -1} <= set(place.far.wait(topic, 1)[-1]["data"]), "the map is published", 20)
+    message = place.far.wait(topic, 1)[-1]
+    assert (message["header"]["frame_id"], message["info"]["width"]) == ("map", 160)
+
+    assert asked(place, "set_pixel_type", "keepout") == ["Clicks paint keepout."]
+    assert asked(place, "set_pixel_size", 3) == ["The brush has 3 by 3 cells."]
+    with (
+        Reader(naming=place.names) as reader,
+        Writer(naming=place.names) as yarpview,
+    ):
+        connections.connect(place.names, "/mapper2D/map:o", reader.name)
+        shown = reader.read()
+        assert shown is not None
+        picture = shown.to(ImageRgb).numpy()
+        assert picture.shape == (160, 160, 3)
+        assert {(254, 254, 254), (0, 0, 0), (0, 90, 200)} <= set(map(tuple, picture.reshape(-1, 3).tolist()))
+        yarpview.connect("/mapper2D/yarpviewTarget:i")
+        for click in ([70, 80], [60, 20, 100, 20], [1000, 2]):
+            assert yarpview.write(click, strict=True) == 1
+
+        def painted() -> bool:
+            answer = asked(place, "save_to_mapserver")
+            assert answer == ["Map map saved into the store."]
+            grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+            return int((grid.flags == MapFlag.KEEP_OUT).sum()) == 9 + 43 * 3
+
+        until(painted, "the clicks are painted", 20)
+    grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+    column, row = grid.cells_at(middle)
+    assert grid.flags[row, column] == MapFlag.FREE
+    column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
+    assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
+    assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
+    assert "not on the map's picture" in str(place.status("mapper2d"))
+
+
+@pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])
+def test_files_are_those_of_the_maps_folder_alone(place: Place, name: str) -> None:
+    for word in ("save_to_file", "load_from_file"):
+        fail, why = asked(place, word, name)
+        assert fail == "[fail]"
+        assert "refused" in why
+
+
+def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
+    asked(place, "clear")
+    asked(place, "enlarge", 1)
+    assert asked(place, "save_to_file", "flat") == ["Map map saved as flat.map."]
+    assert list(Path(place.folder).rglob("flat.map"))
+    asked(place, "clear")
+    assert asked(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
+    assert (place.status("mapper2d") or {})["size"] == pytest.approx([10.0, 10.0])
+    assert asked(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
+    assert asked(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
+    assert asked(place, "load_from_mapserver", "none") == ["[fail]", "there is no map 'none' in the store"]
+    for words in (["fly"], ["initLoc", "x", "y"], ["set_pixel_size", 0], ["set_pixel_type", "lava"], ["paint", 1]):
+        assert asked(place, *words)[0] == "[fail]"
+    help_ = asked(place, "help")
+    assert all(any(word in line for line in help_) for word in ("save_to_file", "initLoc", "set_pixel_type"))

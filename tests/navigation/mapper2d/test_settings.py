@@ -1,0 +1,84 @@
+"""``mapper2D`` files of existing robots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bridge.config.sections.mapper2d import Mapper2DSection
+from navigation.mapper2d.settings import with_file
+
+FILE = """\
+[GENERAL]
+module_name    mapperA
+enable_ros     1
+use_laser      1
+use_localization 1
+[LOCALIZATION]
+use_localization_from_odometry_port 1
+use_localization_from_tf 0
+[MAP]
+map_name       testMap
+map_width      20
+map_height     30.5
+map_resolution 0.05
+[TF]
+robot_frame_id /mobile_base_body_link
+map_frame_id   map
+[ODOMETRY]
+odometry_broadcast_port /baseControl/odometry:o
+[LASER]
+laser_port     /robot/laser:o
+[ROBOT_GEOMETRY]
+robot_radius   0.30
+laser_pos_x    0.07
+laser_pos_y    0
+laser_pos_theta 0
+[ROS]
+map_publish_period 2.0
+initialpose_topic /initialpose
+occupancygrid_topic /map
+speed 3
+"""
+
+
+def read(folder: Path, text: str, **section: object) -> tuple[Mapper2DSection, tuple[str, ...]]:
+    file = folder / "mapper2D.ini"
+    file.write_text(text)
+    return with_file(Mapper2DSection.model_validate({"ini": file, **section}))
+
+
+def test_a_file_is_read_as_it_is(tmp_path: Path) -> None:
+    found, notes = read(tmp_path, FILE)
+    assert (found.prefix, found.map_name, found.width, found.height) == ("/mapperA", "testMap", 20.0, 30.5)
+    assert (found.pose, found.base_frame, found.map_frame) == ("port", "mobile_base_body_link", "map")
+    assert found.laser == (0.07, 0.0, 0.0)
+    assert (found.topic, found.initial_pose, found.period) == ("/map", "/initialpose", 2.0)
+    told = "\n".join(notes)
+    for part in (
+        "mapper2D.ini:18: connect it: yarp connect /baseControl/odometry:o /mapperA/odometry:i",
+        "mapper2D.ini:20: the laser is heard on /scan: a rule brings /robot/laser:o there",
+        "mapper2D.ini:22: 'robot_radius' does nothing",
+        "mapper2D.ini:30: 'speed' does nothing",
+    ):
+        assert part in told
+    assert len(notes) == 4
+
+
+def test_what_the_section_sets_is_stronger(tmp_path: Path) -> None:
+    found, _ = read(tmp_path, FILE, map_name="mine", pose="tf", laser=(1.0, 2.0, 3.0))
+    assert (found.map_name, found.pose, found.laser) == ("mine", "tf", (1.0, 2.0, 3.0))
+
+
+def test_a_short_file_leaves_the_rest(tmp_path: Path) -> None:
+    found, notes = read(tmp_path, "[GENERAL]\nenable_ros 0\n[MAP]\nmap_width 9000\n")
+    assert (found.pose, found.laser, found.topic, found.width) == ("tf", None, "", 10.0)
+    assert "'map_width 9000' is not believed" in "\n".join(notes)
+
+
+def test_files_that_cannot_be_used(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="there is no such file"):
+        with_file(Mapper2DSection(ini=tmp_path / "none.ini"))
+    with pytest.raises(RuntimeError, match=r"mapper2D.ini:2: 'map_width' is a number"):
+        read(tmp_path, "[MAP]\nmap_width wide\n")
