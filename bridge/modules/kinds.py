@@ -11,6 +11,7 @@ from bridge.modules.module import Module
 KINDS: dict[str, str] = {
     "base_control": "navigation.base_control.module:BaseControl",
     "gateway": "navigation.gateway.module:GatewayModule",
+    "localization_server": "navigation.localization_server.module:LocalizationServer",
     "map2d_server": "navigation.map2d_server.module:Map2DServer",
     "mapper2d": "navigation.mapper2d.module:Mapper2D",
     "robot_path_planner": "navigation.robot_path_planner.module:RobotPathPlanner",

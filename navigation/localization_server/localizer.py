@@ -8,8 +8,6 @@ would explain more. Nothing here knows of the hub or of a clock: all times are s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from navigation.algorithms import particle_filter
 from navigation.algorithms.likelihood_field import LikelihoodField
 from navigation.algorithms.pose_search import PoseSearch, Window
+from navigation.localization_server.estimate import Estimate, Status
 from navigation.localization_server.odometry import Track
 from navigation.localization_server.scan import thinned
 from navigation.localization_server.settings import Settings
@@ -38,33 +37,6 @@ _MEMORY = 0.7
 _PATIENCE = 4
 _STOOD = (0.01, math.radians(0.5))
 _NEVER = -(1 << 62)
-
-
-class Status(StrEnum):
-    """YARP's ``LocalizationStatusEnum``, by its names."""
-
-    NOT_YET = "not_yet_localized"
-    OK = "localized_ok"
-    ERROR = "error"
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Where the robot is.
-
-    Attributes:
-        pose: on the map; None before a start was given.
-        covariance: (3, 3) of x, y, theta: metres, radians.
-        quality: share of the scan that the map explains, less what speaks against it, 0 to 1.
-        status: whether to rely on it.
-        reason: why not.
-    """
-
-    pose: Pose | None
-    covariance: Floats
-    quality: float
-    status: Status
-    reason: str
 
 
 class Localizer:
@@ -179,6 +151,10 @@ class Localizer:
         found[:, 2] = particle_filter.wrapped(found[:, 2] + self._corner.theta)
         return found
 
+    def scan_age(self, now_ns: int) -> float:
+        """Seconds since the last scan was taken; very many before the first."""
+        return (now_ns - self._scan_ns) / 1e9
+
     def check(self, now_ns: int) -> tuple[Status, str]:
         """The status at a time, where scans or odometry may have fallen silent; and why it is not better."""
         if not len(self._particles):
@@ -194,18 +170,19 @@ class Localizer:
                 return (Status.NOT_YET if self._status is Status.NOT_YET else Status.ERROR), f"{what} {said}"
         return self._status, self._reason
 
-    def scan(self, stamp_ns: int, points: Floats) -> bool:
+    def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
         """Take up a scan.
 
         Args:
             stamp_ns: when it was taken.
             points: (n, 2) where its beams ended, in the base's frame, metres.
+            odometry: where odometry says that the base was then; None: what was taken up says it.
 
         Returns:
             Whether the filter ran: it does where the base has moved, and after a start.
         """
         self._scan_ns = stamp_ns
-        odometry = self._track.at(stamp_ns)
+        odometry = odometry or self._track.at(stamp_ns)
         if odometry is None or not len(self._particles):
             return False
         if self._updated is None or self._correction is None:

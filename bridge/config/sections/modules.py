@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from bridge.config.sections.base_control import BaseControlSection
+from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.module import ModuleSection
@@ -54,6 +55,10 @@ class ModulesSection(Section):
     base_control: BaseControlSection = Field(
         default_factory=BaseControlSection,
         description="Drives a mobile base as its inputs command; see docs/base_control.md.",
+    )
+    localization_server: LocalizationServerSection = Field(
+        default_factory=LocalizationServerSection,
+        description="Where the robot is, for all sides, and a localiser of Midspan's own; see docs/localization.md.",
     )
     map2d_server: Map2DServerSection = Field(
         default_factory=Map2DServerSection,

@@ -1,0 +1,251 @@
+"""LocalizationServer: where the robot is, for YARP's clients and for all sides.
+
+What YARP's ``localization2D_nws_yarp`` with a localiser below is to a YARP robot. Who says where the robot is, our own
+localiser or somebody else's, is a line of the configuration.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bridge.config.sections.localization_server import LocalizationServerSection
+from bridge.config.sections.section import Section
+from bridge.hub.qos import Durability, Qos
+from bridge.modules.host import Host
+from bridge.modules.module import Module
+from bridge.stores.errors import StoreError
+from bridge.stores.kinds import CURRENT, MAP
+from bridge.worker import Health
+from navigation.frames import Frames, FramesError
+from navigation.localization_server.by_frames import Amcl, ByFrames
+from navigation.localization_server.device import Device
+from navigation.localization_server.estimate import Estimate, Floats, Status
+from navigation.localization_server.given import Port, Topic
+from navigation.localization_server.messages import POSE_COVARIANCE, plane_of, pose_of
+from navigation.localization_server.motion import Motion
+from navigation.localization_server.other_server import OtherServer
+from navigation.localization_server.own import Own
+from navigation.localization_server.source import Source
+from navigation.localization_server.told import Told
+from navigation.maps.grid import from_grid
+from navigation.pose import Pose
+from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.odometry import OdometryData
+
+_GRID = "nav_msgs/msg/OccupancyGrid"
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_RESTS = "the localisation was stopped; startLocalizationService begins it again"
+
+
+class LocalizationServer(Module):
+    """Says where the robot is."""
+
+    name = "localization_server"
+
+    def start(self, host: Host, section: Section) -> None:
+        """Open what the section names."""
+        assert isinstance(section, LocalizationServerSection)
+        self._host, self._section = host, section
+        self._frames = Frames(host, section.map_frame, section.base_frame, section.odom_frame)
+        self._grid: MapGrid2D | None = None
+        self._start: tuple[str, Pose] | None = None
+        self._resting = False
+        self._trouble = ""
+        self._motion = Motion()
+        self._due = False
+        self._source = self._made()
+        self._told = Told(
+            host,
+            self._frames,
+            section.ports,
+            tf=section.publish_tf and self._source.corrects,
+            ahead=section.tf_tolerance,
+        )
+        self._closing = [self._source.close]
+        self._take_maps()
+        if self._source.hears_starts:
+            host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
+        server = Localization2DServer(Device(self, host.loop.call))
+        for port in section.ports:
+            host.yarp.serve(f"{port}/rpc", server)
+        host.on_jump(self._forget)
+        host.every(section.period, self._tell)
+        host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
+
+    def _made(self) -> Source:
+        given = self._host, self._section, self._frames
+        match self._section.source or "own":
+            case "amcl":
+                return Amcl(*given)
+            case "tf":
+                return ByFrames(*given)
+            case "topic":
+                return Topic(*given)
+            case "port":
+                return Port(*given)
+            case "server":
+                return OtherServer(*given, lambda: self.map_name)
+            case _:
+                return Own(*given)
+
+    # what is asked
+
+    @property
+    def map_name(self) -> str:
+        """The map in use; "" where there is none."""
+        return self._grid.name if self._grid is not None else ""
+
+    def estimate(self) -> Estimate:
+        """Where the robot is."""
+        found = self._source.estimate()
+        if self._resting:
+            return Estimate(found.pose, found.covariance, found.quality, Status.NOT_YET, _RESTS)
+        return found
+
+    def cloud(self) -> Floats:
+        """Where it may be."""
+        return self._source.cloud()
+
+    def odometry(self) -> OdometryData | None:
+        """Where the robot is on the map, and how fast; None where nobody knows."""
+        pose = self._source.estimate().pose
+        return None if pose is None else self._motion.data(pose)
+
+    def begin(self, pose: Pose, covariance: Floats | None, map_name: str) -> None:
+        """Begin there, on that map (empty: the one in use).
+
+        Raises:
+            RuntimeError: it cannot be; the text says why.
+        """
+        if map_name in ("", self.map_name):
+            self._source.initial(pose, covariance)
+            return
+        if self._section.map not in (None, "store"):
+            raise RuntimeError(f"the map in use is {self.map_name!r}, of {self._section.map}, not {map_name!r}")
+        self._start = map_name, pose
+        try:
+            self._host.store.use_map(map_name)
+        except StoreError as err:
+            self._start = None
+            raise RuntimeError(str(err)) from None
+        self._take_current()
+
+    def rest(self, *, on: bool) -> None:
+        """Work no more, or again."""
+        self._resting = on
+        self._source.rest(on=on)
+
+    def _start_told(self, message: dict[str, Any]) -> None:
+        """On the topic on which rviz tells it."""
+        frame = message["header"]["frame_id"].lstrip("/")
+        if frame not in ("", self._frames.map_frame):
+            self._refuse_start(f"the start is in the frame {frame!r}, not in {self._frames.map_frame!r}")
+            return
+        try:
+            self._source.initial(pose_of(message["pose"]["pose"]), plane_of(message["pose"]["covariance"]))
+        except (RuntimeError, ValueError) as err:
+            self._refuse_start(str(err))
+
+    def _refuse_start(self, why: str) -> None:
+        self._host.log.warning("%s: refused: %s", self._section.initialpose, why)
+
+    # maps
+
+    def _take_maps(self) -> None:
+        section, host = self._section, self._host
+        if section.map not in (None, "store"):
+            host.node.subscription(str(section.map), _GRID, self._grid_told, _LATCHED)
+            return
+        self._closing.append(host.store.watch(self._store_changed, MAP, CURRENT))
+        self._take_current()
+
+    def _store_changed(self, _change: object) -> None:
+        """On the store's thread; many changes at once are taken up once."""
+        if not self._due:
+            self._due = True
+            self._host.loop.post(self._take_current)
+
+    def _take_current(self) -> None:
+        self._due = False
+        name = self._host.store.current_map()
+        try:
+            grid = self._host.store.get(MAP, name) if name else None
+        except StoreError as err:
+            self._trouble = str(err)
+            return
+        self._trouble = "" if grid is not None else "the store has no current map"
+        if grid is not None and not _same(grid, self._grid):
+            self._use(grid)
+
+    def _grid_told(self, message: dict[str, Any]) -> None:
+        topic = str(self._section.map)
+        try:
+            grid = from_grid(message, self._host.store.current_map() or topic.strip("/"))
+        except (ValueError, StoreError) as err:
+            self._trouble = f"{topic}: {err}"
+            return
+        self._trouble = ""
+        self._use(grid)
+
+    def _use(self, grid: MapGrid2D) -> None:
+        self._grid = grid
+        told, self._start = self._start, None
+        self._source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
+
+    # what happens
+
+    def _tell(self) -> None:
+        try:
+            self._motion.add(self._frames.odometry())
+        except FramesError:
+            self._motion.forget()
+        found = self.estimate()
+        correction = None if self._resting else self._source.correction()
+        odometry = None if found.pose is None else self._motion.data(found.pose)
+        self._told.tell(found, correction, odometry, self.map_name)
+
+    def _forget(self) -> None:
+        self._motion.forget()
+        self._source.forget()
+
+    # how it is
+
+    def health(self) -> Health:
+        """Whether it knows where the robot is, and why not."""
+        if self._grid is None and self._section.source in (None, "own"):
+            return Health("waiting", self._trouble or f"no map has come from {self._section.map}")
+        found = self.estimate()
+        return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
+
+    def status(self) -> dict[str, Any]:
+        """The pose, and how sure it is."""
+        found = self.estimate()
+        return {
+            "source": self._section.source or "own",
+            "map": self.map_name,
+            "localization": found.status.value,
+            "reason": found.reason,
+            "quality": round(found.quality, 3),
+            "pose": None if found.pose is None else list(found.pose[:3]),
+            "particles": len(self.cloud()),
+            "trouble": self._trouble,
+            **self._source.status(),
+        }
+
+    def stop(self) -> None:
+        """Hear no more."""
+        for close in self._closing:
+            close()
+
+
+def _same(one: MapGrid2D, other: MapGrid2D | None) -> bool:
+    """Whether two maps have the same walls in the same place, and the same name."""
+    return (
+        other is not None
+        and one.name == other.name
+        and one.resolution == other.resolution
+        and one.origin == other.origin
+        and one.flags.shape == other.flags.shape
+        and bool((one.flags == other.flags).all())
+    )

@@ -1,0 +1,143 @@
+"""Another server of ILocalization2D on YARP, asked again and again on a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from bridge.config.sections.localization_server import LocalizationServerSection
+from bridge.modules.host import Host
+from navigation.frames import Frames
+from navigation.localization_server.estimate import Estimate, Floats, Status
+from navigation.localization_server.given import Given
+from navigation.pose import Pose
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs, LocalizationStatusEnum
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.sig.matrix import Matrix
+from yarp_compat.wire.errors import WireError
+
+_log = logging.getLogger(__name__)
+
+_AGAIN = 1.0
+_PATIENCE = 2.0
+_STATUS = "localization_status_"
+_PLANE = (3, 3)
+
+
+class OtherServer(Given):
+    """Gives on what another server says. Its pose is of the map that is in use here.
+
+    Args:
+        host: the module's.
+        section: names the server.
+        frames: where odometry says that the base is.
+        map_name: says which map is in use.
+    """
+
+    hears_starts = True
+
+    def __init__(
+        self, host: Host, section: LocalizationServerSection, frames: Frames, map_name: Callable[[], str]
+    ) -> None:
+        super().__init__(host, section, frames)
+        self._map_name = map_name
+        self._particles = np.empty((0, 3))
+        self._theirs = Status.NOT_YET
+        self._naming, self._post = host.yarp.naming, host.loop.post
+        self._lock = threading.Condition()
+        self._wanted: tuple[Map2DLocation, Matrix] | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="midspan-other-localiser", daemon=True)
+        self._thread.start()
+
+    @property
+    def place(self) -> str:
+        """The server's port."""
+        return f"{self._section.server}/rpc"
+
+    def estimate(self) -> Estimate:
+        """What it said last."""
+        found = super().estimate()
+        if found.status is Status.OK and self._theirs is not Status.OK:
+            why = f"{self.place} says {self._theirs.value}"
+            return Estimate(found.pose, found.covariance, found.quality, self._theirs, why)
+        return found
+
+    def cloud(self) -> Floats:
+        """Its particles."""
+        return self._particles
+
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:
+        """Tell it."""
+        place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
+        if covariance is None:
+            metres, degrees = self._section.initial_spread
+            covariance = np.diag([metres**2, metres**2, math.radians(degrees) ** 2])
+        with self._lock:
+            self._wanted = place, Matrix(covariance)
+            self._lock.notify()
+
+    def close(self) -> None:
+        """Ask no more."""
+        with self._lock:
+            self._closed = True
+            self._lock.notify()
+        self._thread.join(_PATIENCE + 0.5)
+
+    # on its own thread
+
+    def _run(self) -> None:
+        while not self._closed:
+            try:
+                with ServiceClient(ILocalization2DMsgs, self.place, timeout=_PATIENCE, naming=self._naming) as client:
+                    self._follow(client.remote)
+            except (OSError, WireError) as err:
+                self._tell_trouble(f"{self.place}: {str(err) or type(err).__name__}")
+            except Exception as err:  # the thread goes on whatever a server answers
+                _log.exception("%s", self.place)
+                self._tell_trouble(f"{self.place}: {type(err).__name__}: {err}")
+            with self._lock:
+                self._lock.wait_for(lambda: self._closed, _AGAIN)
+
+    def _tell_trouble(self, why: str) -> None:
+        self._post(lambda: self.refuse(why))
+
+    def _follow(self, remote: ILocalization2DMsgs) -> None:
+        turns = max(1, round(self._section.particles_period / self._section.period))
+        turn = 0
+        while not self._closed:
+            with self._lock:
+                wanted, self._wanted = self._wanted, None
+            if wanted is not None and not remote.set_initial_pose2_RPC(*wanted):
+                self._tell_trouble(f"{self.place} refused where the robot is to begin")
+            self._ask(remote, cloud=turn % turns == 0)
+            turn += 1
+            with self._lock:
+                self._lock.wait_for(lambda: self._closed or self._wanted is not None, self._section.period)
+
+    def _ask(self, remote: ILocalization2DMsgs, *, cloud: bool) -> None:
+        outcome, status = remote.get_localization_status_RPC()
+        theirs = _status(status) if outcome else Status.ERROR
+        self._post(lambda: setattr(self, "_theirs", theirs))
+        outcome, location, covariance = remote.get_current_position2_RPC()
+        whole = covariance.numpy() if outcome else np.zeros((0, 0))
+        if not whole.size:  # servers of YARP up to 4.0 answer so, without the location, though they know it
+            outcome, location = remote.get_current_position1_RPC()
+        if outcome and math.isfinite(location.x + location.y + location.theta):
+            pose = Pose(location.x, location.y, math.radians(location.theta))
+            usable = whole.shape == _PLANE and np.isfinite(whole).all() and whole.any()
+            self._post(lambda: self.take(pose, whole if usable else None))
+        if cloud:
+            outcome, locations = remote.get_estimated_poses_RPC()
+            if outcome:
+                rows = [(one.x, one.y, math.radians(one.theta)) for one in locations]
+                self._post(lambda: setattr(self, "_particles", np.array(rows).reshape(-1, 3)))
+
+
+def _status(status: LocalizationStatusEnum) -> Status:
+    return Status(status.name.removeprefix(_STATUS))

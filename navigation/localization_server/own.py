@@ -1,0 +1,182 @@
+"""Our own localiser, fed from the hub."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.config.sections.localization_server import LocalizationServerSection
+from bridge.hub.qos import Qos
+from bridge.modules.host import Host
+from bridge.tf.errors import TransformError
+from navigation.frames import Frames, FramesError, flat
+from navigation.localization_server.estimate import Estimate, Floats, unknown
+from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.messages import SCAN, stamp_ns
+from navigation.localization_server.scan import scan_points
+from navigation.localization_server.settings import Settings
+from navigation.localization_server.source import Source
+from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapGrid2D
+
+_LATE = 0.2
+"""Seconds by which a scan may be newer than the odometry."""
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A scan as `scan_points` takes it."""
+
+    first: float
+    step: float
+    nearest: float
+    farthest: float
+    ranges: NDArray[np.floating]
+
+
+class Own(Source):
+    """The localiser, with the laser and the odometry of the hub.
+
+    Args:
+        host: the module's.
+        section: what to hear, and how to work.
+        frames: where the base and the laser are.
+    """
+
+    hears_starts = True
+    corrects = True
+
+    def __init__(self, host: Host, section: LocalizationServerSection, frames: Frames) -> None:
+        self._now_ns, self._frames, self._section = host.clock.now_ns, frames, section
+        self._settings = settings_of(section)
+        self._localizer: Localizer | None = None
+        self._trouble = "no map is there yet"
+        self._start = None if section.initial_pose is None else _pose(section.initial_pose)
+        self._resting = False
+        self._scans = self._left_out = 0
+        self._laser = ""
+        host.node.subscription(section.scan, SCAN, self._scan, Qos(depth=2))
+
+    def estimate(self) -> Estimate:
+        """Where the robot is now, or why nobody knows."""
+        localizer = self._localizer
+        if localizer is None:
+            return unknown(self._trouble)
+        self._heed_odometry(localizer)
+        found = localizer.estimate()
+        status, reason = localizer.check(self._now_ns())
+        if "laser" in reason and self._laser:
+            reason = f"{reason}: {self._laser}"
+        return Estimate(found.pose, found.covariance, found.quality, status, reason)
+
+    def _heed_odometry(self, localizer: Localizer) -> None:
+        try:
+            localizer.odometry(self._frames.odometry())
+        except FramesError:
+            return  # the localiser tells how long nothing was heard
+
+    def correction(self) -> Pose | None:
+        """The odometry's frame on the map; None while the laser is silent: what does not hold any more ages."""
+        localizer = self._localizer
+        if localizer is None or localizer.scan_age(self._now_ns()) > self._settings.scan_age:
+            return None
+        return localizer.correction
+
+    def cloud(self) -> Floats:
+        """The particles."""
+        return np.empty((0, 3)) if self._localizer is None else self._localizer.cloud()
+
+    def initial(self, pose: Pose, covariance: Floats | None) -> None:
+        """Begin there."""
+        if self._localizer is None:
+            raise RuntimeError(f"nobody can be localised: {self._trouble}")
+        self._heed_odometry(self._localizer)
+        try:
+            self._localizer.initial(pose, covariance)
+        except ValueError as err:
+            raise RuntimeError(str(err)) from None
+
+    def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:
+        """Hold scans against another map, from where the robot is now unless somebody said."""
+        start = start or (self._localizer.pose if self._localizer else None) or self._start
+        try:
+            self._localizer = Localizer(grid, self._settings)
+        except ValueError as err:
+            self._localizer, self._trouble, self._start = None, str(err), start
+            return
+        if start is not None:
+            self.initial(start, None)
+
+    def rest(self, *, on: bool) -> None:
+        """Take up no scans, or again."""
+        self._resting = on
+
+    def forget(self) -> None:
+        """The clock was set back."""
+        if self._localizer is not None:
+            self._localizer.forget_time()
+
+    def status(self) -> dict[str, Any]:
+        """How it is getting on."""
+        found: dict[str, Any] = {"scans": self._scans, "left_out": self._left_out, "laser": self._laser}
+        if self._localizer is not None:
+            found |= {"updates": self._localizer.updates, "searches": self._localizer.searches}
+        return found
+
+    def _scan(self, message: dict[str, Any]) -> None:
+        localizer = self._localizer
+        if localizer is None or self._resting:
+            return
+        stamp = stamp_ns(message["header"])
+        frames = self._frames
+        try:
+            odometry = frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=_LATE)
+            points = self._points(message)
+        except FramesError as err:
+            self._left_out += 1
+            self._laser = str(err)
+            return
+        self._scans, self._laser = self._scans + 1, ""
+        localizer.scan(stamp, points, odometry)
+
+    def _points(self, message: dict[str, Any]) -> Floats:
+        """A scan's points in the base's frame; the laser may hang upside down."""
+        frame, step = message["header"]["frame_id"] or self._frames.base_frame, float(message["angle_increment"])
+        first = float(message["angle_min"])
+        try:
+            mounted = self._frames.buffer.lookup_transform(self._frames.base_frame, frame)
+        except TransformError as err:
+            raise FramesError(f"it is not known where the laser is on the base: {str(err).strip()}") from None
+        x, y, _, _ = mounted.rotation
+        if x * x + y * y > 0.5:
+            first, step = -first, -step
+        turn = _Turn(first, step, float(message["range_min"]), float(message["range_max"]), message["ranges"])
+        return scan_points(turn, flat(mounted))
+
+
+def settings_of(section: LocalizationServerSection) -> Settings:
+    """The localiser's settings."""
+    how = section.localiser
+    a1, a2, a3, a4, a5 = how.odom_alpha
+    return Settings(
+        particles=how.particles,
+        beams=how.beams,
+        holonomic=how.holonomic,
+        alphas=(a1, a2, a3, a4, a5),
+        sigma=how.laser_sigma,
+        hit=how.laser_hit,
+        update_distance=how.update_min_d,
+        update_angle=math.radians(how.update_min_a),
+        initial_spread=(section.initial_spread[0], math.radians(section.initial_spread[1])),
+        good=how.good,
+        poor=how.poor,
+        search_reach=how.recovery,
+    )
+
+
+def _pose(told: tuple[float, float, float]) -> Pose:
+    return Pose(told[0], told[1], math.radians(told[2]))

@@ -1,0 +1,279 @@
+"""The module on a hub and on YARP, over each kind of source."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.hub.qos import Qos
+from bridge.stores.kinds import MAP
+from navigation.localization_server.messages import POSE_COVARIANCE, pose_message, spatial
+from navigation.maps.grid import from_grid, yaw_of
+from navigation.pose import Pose, wrapped
+from tests.modules.place import Place
+from tests.navigation.localization_server.robot import LATCHED, Robot
+from tests.support.wait import until
+from yarp_compat.dev.ilocalization2d import LocalizationStatusEnum
+from yarp_compat.dev.localization2d_client import Localization2DClient
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.odometry import OdometryData
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Reader, Writer
+from yarp_compat.sig.matrix import Matrix
+
+OK = "localized_ok"
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    with Place(tmp_path) as made:
+        yield made
+
+
+@pytest.fixture
+def robot(place: Place) -> Iterator[Robot]:
+    made = Robot(place.far.hub, place.far.registry)
+    yield made
+    made.close()
+
+
+def started(place: Place, robot: Robot, **section: Any) -> None:
+    """Start the module, with the laboratory in the store."""
+    config = place.config(modules={"localization_server": {"enabled": True, "period": 0.05, **section}}, store={})
+    place.worker.start(config)
+    use(place, robot.grid.name, robot)
+
+
+def use(place: Place, name: str, robot: Robot) -> None:
+    stores = place.worker._stores
+    assert stores is not None
+    robot.grid.m_map_name = name
+    stores.store.put(MAP, name, robot.grid)
+    stores.store.use_map(name)
+
+
+def said(place: Place) -> dict[str, Any]:
+    return place.status("localization_server") or {}
+
+
+def says(place: Place, status: str, reason: str = "") -> Callable[[], bool]:
+    return lambda: said(place).get("localization") == status and reason in said(place)["reason"]
+
+
+def near(place: Place, pose: Pose, metres: float = 0.15) -> Callable[[], bool]:
+    def look() -> bool:
+        found = said(place).get("pose")
+        return bool(found) and pose.distance(Pose(*found)) < metres and abs(wrapped(found[2] - pose.theta)) < 0.1
+
+    return look
+
+
+def tell_start(place: Place, pose: Pose, covariance: Any = None, frame: str = "map") -> Callable[[], None]:
+    out = place.far.advertise("/initialpose", POSE_COVARIANCE.replace("/msg", ""))
+    covariance = np.zeros(36) if covariance is None else spatial(covariance)
+    message = {
+        "header": {"frame_id": frame},
+        "pose": {"pose": pose_message(pose), "covariance": covariance.tolist()},
+    }
+    return lambda: place.far.publish(out, message)
+
+
+def test_our_own_localiser_for_all_sides(place: Place, robot: Robot) -> None:
+    poses = place.far.subscribe("/localization/pose", "geometry_msgs/PoseWithCovarianceStamped")
+    statuses = place.far.subscribe("/localization/status", "std_msgs/String", latched=True)
+    clouds = place.far.subscribe("/localization/particles", "geometry_msgs/PoseArray", latched=True)
+    frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
+    started(place, robot, particles_period=0.2)
+    until(says(place, "not_yet_localized", "no start was given"), "it waits for a start", 20)
+    true = robot.pose
+    refused = tell_start(place, true, frame="odom")
+    refused()
+    tell = tell_start(place, true @ Pose(0.4, -0.3, 0.2))
+    until(lambda: (tell(), says(place, OK)())[1], "the start is taken", 20)
+    until(near(place, true), "it is where it is", 20)
+    until(lambda: {"data": OK} in place.far.wait(statuses, 1), "the status is told", 20)
+    pose = place.far.wait(poses, 1)[-1]
+    assert pose["header"]["frame_id"] == "map"
+    assert true.distance(Pose(pose["pose"]["pose"]["position"]["x"], pose["pose"]["pose"]["position"]["y"], 0.0)) < 0.3
+    assert 0.0 < pose["pose"]["covariance"][0] < 1.0
+
+    def corrected() -> bool:
+        """The odometry's frame on the map, with odometry in it, is the truth."""
+        for message in reversed(place.far.wait(frames, 1)):
+            for one in message["transforms"]:
+                if one["child_frame_id"] == "odom":
+                    at, turn = one["transform"]["translation"], one["transform"]["rotation"]
+                    return (Pose(at["x"], at["y"], yaw_of(turn)) @ robot.odometry).distance(true) < 0.15
+        return False
+
+    until(corrected, "its correction is on /tf", 20)
+
+    def cloud_is_there() -> bool:
+        cloud = place.far.wait(clouds, 1)[-1]["poses"]
+        return len(cloud) == 1000 and abs(np.mean([p["position"]["x"] for p in cloud]) - true.x) < 0.2
+
+    until(cloud_is_there, "the particles are told", 20)
+    robot.silent = {"scan"}
+    until(says(place, "error", "the laser is silent"), "a silent laser is told", 20)
+    robot.silent = {"odometry"}
+    until(says(place, "error", "odometry is silent"), "silent odometry is told", 20)
+    robot.silent = set()
+    until(says(place, OK), "it goes on", 20)
+    robot.carry(6.6, 0.8, 1.5)
+    until(says(place, "error", "is it frozen, or was the robot carried?"), "a robot that is lost says so", 20)
+
+
+def test_its_yarp_ports(place: Place, robot: Robot) -> None:
+    started(place, robot)
+    true = robot.pose
+    here = Map2DLocation("lab", true.x + 0.2, true.y, math.degrees(true.theta) + 5.0)
+    with NameServer(port=place.port, gc_seconds=0):
+        until(lambda: place.names.query("/localizationServer/odometry:o"), "the ports are there", 20)
+        until(lambda: "waiting" not in str(said(place).get("ports")), "all are open", 20)
+        until(lambda: said(place).get("map") == "lab", "the map is there", 20)
+        until(lambda: said(place).get("scans", 0) > 0, "scans are heard", 20)
+        with (
+            Reader("/test/where:i", naming=place.names) as where,
+            Reader("/test/odometry:i", naming=place.names) as odometry,
+            Localization2DClient("/localization2D_nws_yarp", naming=place.names) as client,
+        ):
+            connections.connect(place.names, "/localizationServer/streaming:o", "/test/where:i")
+            connections.connect(place.names, "/localization2D_nws_yarp/odometry:o", "/test/odometry:i")
+            first = where.read()
+            assert first is not None
+            assert math.isnan(first.values[1])  # nobody knows yet
+            location, covariance = Map2DLocation(), Matrix()
+            assert not client.getCurrentPosition(location, covariance)
+            assert client.setInitialPose(here)
+
+            def localized() -> bool:
+                return client.getLocalizationStatus() is LocalizationStatusEnum.localization_status_localized_ok
+
+            until(localized, "it is localised", 20)
+            until(near(place, true), "it is where it is", 20)
+            assert client.getCurrentPosition(location, covariance)
+            assert location.map_id == "lab"
+            assert math.hypot(location.x - true.x, location.y - true.y) < 0.15
+            assert abs(math.remainder(location.theta - math.degrees(true.theta), 360.0)) < 5.0
+            assert covariance.numpy().shape == (3, 3)
+            assert 0.0 < covariance.numpy()[0, 0] < 1.0
+            poses = client.getEstimatedPoses()
+            assert len(poses) == 500
+            assert abs(np.mean([one.y for one in poses]) - true.y) < 0.2
+
+            def streamed() -> bool:
+                found = where.read()
+                return found is not None and abs(found.values[2] - true.y) < 0.15 and found.envelope != ""
+
+            until(streamed, "the pose is streamed", 20)
+            found = odometry.read()
+            while found is not None and math.isnan(found.values[0]):
+                found = odometry.read()
+            assert found is not None
+            assert len(found.values) == 9
+            assert found.values[2] == pytest.approx(math.degrees(true.theta), abs=5.0)
+            assert found.values[3:] == pytest.approx([0.0] * 6, abs=1e-3)
+            assert isinstance(client.getEstimatedOdometry(), OdometryData)
+            assert client.stopLocalizationService()
+            until(says(place, "not_yet_localized", "was stopped"), "it rests", 20)
+            assert client.startLocalizationService()
+            until(localized, "it works again", 20)
+            assert not client.setInitialPose(Map2DLocation("nowhere", 0.0, 0.0, 0.0))
+            use(place, "lab2", robot)
+            until(lambda: said(place).get("map") == "lab2", "another map is taken", 20)
+            until(localized, "it is localised there", 20)
+            assert client.setInitialPose(Map2DLocation("lab", true.x, true.y, math.degrees(true.theta)))
+            until(lambda: said(place).get("map") == "lab", "the start was on another map, which is taken", 20)
+
+
+def test_in_front_of_amcl(place: Place, robot: Robot) -> None:
+    taken: list[dict[str, Any]] = []
+
+    def set_map(request: dict[str, Any], answer: Any) -> None:
+        taken.append(request)
+        answer({"success": True})
+
+    starts: list[dict[str, Any]] = []
+    robot.node.server("/set_map", "nav_msgs/srv/SetMap", set_map)
+    robot.node.subscription("/initialpose", POSE_COVARIANCE, starts.append, Qos(depth=5))
+    covariance = np.diag([0.04, 0.09, 0.01])
+    amcl = robot.node.publisher("/amcl_pose", POSE_COVARIANCE, LATCHED, priority="state")
+    amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(covariance)}})
+    cloud = robot.node.publisher("/particlecloud", "geometry_msgs/msg/PoseArray", LATCHED, priority="state")
+    cloud.publish({"poses": [pose_message(Pose(1.0, 2.0, 0.5))] * 7})
+    started(place, robot, source="amcl")
+    until(says(place, "not_yet_localized", "not known where odom is in map"), "it waits for the frames", 20)
+    robot.localized = Pose(1.0, 2.0, 0.5)
+    until(says(place, OK), "amcl's frames are heard", 20)
+    assert near(place, robot.localized @ robot.odometry, 0.01)()
+    until(lambda: said(place)["particles"] == 7, "so are its particles", 20)
+    with NameServer(port=place.port, gc_seconds=0):
+        until(lambda: place.names.query("/localization2D_nws_yarp/rpc"), "the port is there", 20)
+        until(lambda: "waiting" not in str(said(place).get("ports")), "all are open", 20)
+        with Localization2DClient("/localization2D_nws_yarp", naming=place.names) as client:
+            location, found = Map2DLocation(), Matrix()
+            assert client.getCurrentPosition(location, found)
+            assert found.numpy() == pytest.approx(covariance)
+            until(lambda: bool(client.setInitialPose(Map2DLocation("lab", 3.0, 4.0, 90.0))), "the start is told", 20)
+    until(lambda: len(starts) > 0, "amcl hears it", 20)
+    assert starts[-1]["header"]["frame_id"] == "map"
+    assert yaw_of(starts[-1]["pose"]["pose"]["orientation"]) == pytest.approx(math.pi / 2)
+    assert starts[-1]["pose"]["covariance"][[0, 35]] == pytest.approx([0.25, math.radians(15.0) ** 2])
+    assert not taken  # its first map amcl has by itself
+    use(place, "lab2", robot)
+    until(lambda: len(taken) > 0, "amcl is given another map", 20)
+    assert from_grid(taken[-1]["map"], "lab2").flags.shape == robot.grid.flags.shape
+    where = taken[-1]["initial_pose"]["pose"]["pose"]["position"]
+    assert (robot.localized @ robot.odometry).distance(Pose(where["x"], where["y"], 0.0)) < 0.01
+    robot.localized = None
+    until(says(place, "error", "localisation is stale"), "a dead amcl is told", 20)
+
+
+def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
+    frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
+    started(place, robot, source="topic", topic="/uwb", pose_age=1.0)
+    until(says(place, "not_yet_localized", "no pose has come from /uwb"), "it waits for poses", 20)
+    out = place.far.advertise("/uwb", "geometry_msgs/PoseStamped")
+    given = Pose(4.0, 5.0, 1.0)
+    wrong = {"header": {"frame_id": "uwb"}, "pose": pose_message(given)}
+    until(lambda: (place.far.publish(out, wrong), "frame 'uwb'" in said(place)["reason"])[1], "frames are heeded", 20)
+    message = {"header": {"frame_id": "map"}, "pose": pose_message(given)}
+    until(lambda: (place.far.publish(out, message), says(place, OK)())[1], "poses are taken", 20)
+    assert near(place, given, 0.01)()
+    told = lambda: "odom" in str(place.far.wait(frames, 1, 0.1))  # noqa: E731
+    until(lambda: (place.far.publish(out, message), told())[1], "the correction is on /tf", 20)
+    until(says(place, "error", "/uwb has been silent for"), "silence is told", 20)
+    place.worker.stop()
+    started(place, robot, source="port")
+    with NameServer(port=place.port, gc_seconds=0), Writer("/test/pose:o", naming=place.names) as writer:
+        until(lambda: place.names.query("/localizationServer/pose:i"), "the port is there", 20)
+        until(lambda: "waiting" not in str(said(place).get("ports")), "all are open", 20)
+        writer.connect("/localizationServer/pose:i")
+        until(lambda: (writer.write([1.0, "x"]), "neither" in said(place)["reason"])[1], "nonsense is told", 20)
+        there = Map2DLocation("lab", 2.0, 3.0, 90.0)
+        until(lambda: (writer.write(there), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
+        numbers = [3.0, 2.0, -90.0]
+        until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
+
+
+def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) -> None:
+    started(place, robot, initial_pose=[*robot.pose[:2], math.degrees(robot.pose.theta)], ports=["/other"])
+    with NameServer(port=place.port, gc_seconds=0), Place(tmp_path / "second") as second:
+        until(lambda: place.names.query("/other/odometry:o"), "the other's ports are there", 20)
+        second.port = place.port
+        follower = Robot(second.far.hub, second.far.registry)
+        try:
+            started(second, follower, source="server", server="/other")
+            until(says(second, OK), "it says what the other says", 20)
+            until(near(second, robot.pose), "it is where the other says", 20)
+            until(lambda: said(second)["particles"] == 500, "with the other's particles", 20)
+            robot.silent = {"scan"}
+            until(says(second, "error", "/other/rpc says error"), "the other's trouble is told", 20)
+        finally:
+            follower.close()
