@@ -75,6 +75,7 @@ class Driver:
         grid: what the laser saw around it lately.
         command: what was commanded last.
         spoken: what there is to say to people around, the oldest first; taken out by whoever says it.
+        bearing: where the goal is seen from the robot's front, radians.
         ahead: what is around it: see `navigation.algorithms.stopping.kernels`.
     """
 
@@ -97,6 +98,7 @@ class Driver:
         self._moved: Pose | None = None
         self._passed = 0.0
         self._last = STILL
+        self.bearing = 0.0
         self._clear()
 
     def forget(self) -> None:
@@ -180,6 +182,11 @@ class Driver:
     def target(self) -> Task | None:
         """The goal under way."""
         return self._task
+
+    @property
+    def way(self) -> list[tuple[float, float]]:
+        """Where it drives to next, in the odometry's frame; nothing where it goes straight to the goal."""
+        return [] if self._aim is None or self._aim.direct else [(self._aim.x, self._aim.y)]
 
     @property
     def silent(self) -> bool:
@@ -301,7 +308,7 @@ class Driver:
     def _driven(self, now: float, task: Task, pose: Pose, moved: Pose) -> Command:
         limits = Limits.of(self.settings, task.asked)
         seen = pose.inverse @ task.pose
-        distance = math.hypot(seen.x, seen.y)
+        distance, self.bearing = math.hypot(seen.x, seen.y), math.atan2(seen.y, seen.x)
         turn = wrapped(task.pose.theta - pose.theta) if task.heading else 0.0
         task.near = distance < limits.tolerance_lin * (1.5 if task.near else 1.0)
         if task.near:

@@ -12,6 +12,7 @@ from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.maps import Map2DServerSection
 from bridge.config.sections.module import ModuleSection
+from bridge.config.sections.robot_goto import RobotGotoSection
 from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from bridge.config.sections.section import Section
 from bridge.config.sections.transforms import TransformServerSection
@@ -67,6 +68,10 @@ class ModulesSection(Section):
     mapper2d: Mapper2DSection = Field(
         default_factory=Mapper2DSection,
         description="A map from a laser and a pose that is given; see docs/mapper2d.md.",
+    )
+    robot_goto: RobotGotoSection = Field(
+        default_factory=RobotGotoSection,
+        description="Drives to a goal by laser and frames alone; see docs/robot_goto.md.",
     )
     robot_path_planner: RobotPathPlannerSection = Field(
         default_factory=RobotPathPlannerSection,

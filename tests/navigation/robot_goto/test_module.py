@@ -1,0 +1,329 @@
+"""The module on a hub, with YARP, and a robot in a room that goes as it is commanded."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.clock import SYSTEM
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.action_client import SentGoal
+from bridge.modules.goal import Status
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from navigation.constraints import Constraints
+from navigation.status import Fault
+from sim.laser import reference
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.dev.client import ServiceClient
+from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapflag import MapFlag
+from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
+from yarp_compat.naming import connections
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client, Reader
+
+ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
+PLANNER = "/planner/robot_goto"
+TICK, TIMEOUT = 0.02, 0.3
+WALLS = np.array([[-3.0, -3, 3, -3], [3.0, -3, 3, 3], [3.0, 3, -3, 3], [-3.0, 3, -3, -3]])
+BEAMS = 180
+
+
+class Robot:
+    """A robot that holonomically does what it is told, with a laser; and a client of RobotGoto."""
+
+    def __init__(self, hub: Hub, registry: Registry) -> None:
+        self.loop = Loop("robot")
+        self.loop.start()
+        self.node = Node(hub, registry, self.loop, SYSTEM)
+        self.sees = self.knows = True
+        self.commands: list[tuple[float, float, float]] = []
+        self._until, self._ticks = 0.0, 0
+        self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
+        self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
+        latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+        self._localized = self.node.publisher("/localization/status", "std_msgs/msg/String", latched)
+        self.node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._command)
+        self.client = self.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
+        self.stand(0.0, 0.0, 0.0)
+        self._timer = self.loop.every(TICK, self._tick)
+
+    def stand(self, x: float, y: float, yaw: float) -> None:
+        self.x, self.y, self.yaw = x, y, yaw
+        self._velocity = (0.0, 0.0, 0.0)
+
+    def localized(self, word: str) -> None:
+        self._localized.publish({"data": word})
+
+    def _command(self, message: dict[str, Any]) -> None:
+        linear, angular = message["linear"], message["angular"]
+        self._velocity = (linear["x"], linear["y"], angular["z"])
+        self._until = time.monotonic() + TIMEOUT
+        self.commands.append(self._velocity)
+
+    def _tick(self) -> None:
+        if time.monotonic() < self._until:
+            vx, vy, turn = self._velocity
+            self.yaw += turn * TICK
+            c, s = math.cos(self.yaw), math.sin(self.yaw)
+            self.x, self.y = self.x + (c * vx - s * vy) * TICK, self.y + (s * vx + c * vy) * TICK
+        stamp = SYSTEM.stamp()
+        # the odometry began elsewhere
+        frames = [("map", "odom", 5.0, 0.0, 0.0)] if self.knows else []
+        frames += [("odom", "base_link", self.x - 5.0, self.y, self.yaw)]
+        self._tf.publish({"transforms": [_transform(stamp, *frame) for frame in frames]})
+        self._ticks += 1
+        if self._ticks % 4 == 0 and self.sees:
+            angles = -math.pi + np.arange(BEAMS) * 2 * math.pi / BEAMS
+            ranges = reference(WALLS, np.zeros((0, 3)), (self.x, self.y, self.yaw), angles, 20.0)
+            self._scan.publish({
+                "header": {"stamp": stamp, "frame_id": "base_link"},
+                "angle_min": -math.pi, "angle_max": math.pi, "angle_increment": 2 * math.pi / BEAMS,
+                "range_min": 0.1, "range_max": 20.0, "ranges": ranges.astype(np.float32),
+            })  # fmt: skip
+
+    def close(self) -> None:
+        self._timer.close()
+        self.node.close()
+        self.loop.close()
+
+
+def _transform(stamp: Any, parent: str, child: str, x: float, y: float, yaw: float) -> dict[str, Any]:
+    turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+    transform = {"translation": {"x": x, "y": y, "z": 0.0}, "rotation": turn}
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}
+
+
+class Sent:
+    """A goal that was sent."""
+
+    def __init__(self, robot: Robot, x: float, y: float, yaw: float = 0.0, text: str = "") -> None:
+        until(lambda: robot.client.ready, "RobotGoto is there", 30)
+        self.feedback: list[dict[str, Any]] = []
+        self._over = threading.Event()
+        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
+        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+        place = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+        goal = {"pose": {"header": {"frame_id": "map"}, "pose": place}, "behavior_tree": text}
+        self._loop = robot.loop
+        self.goal: SentGoal = self._loop.call(lambda: robot.client.send(goal, self._ended, self.feedback.append))
+
+    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+        self._end = goal.status, result, why
+        self._over.set()
+
+    def cancel(self) -> None:
+        self._loop.call(self.goal.cancel)
+
+    def end(self) -> tuple[Status, dict[str, Any]]:
+        assert self._over.wait(60), "it ends"
+        assert self._end is not None
+        status, result, why = self._end
+        assert result is not None, why
+        return status, result
+
+
+class Served(Place):
+    """A running RobotGoto."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.yarp = NameServer(port=self.port, gc_seconds=0)
+        self.yarp.open()
+        self.robot = Robot(self.far.hub, self.far.registry)
+        section = {
+            "enabled": True,
+            "max_lin_speed": 1.0,
+            "max_ang_speed": 180.0,
+            "max_lin_acc": 5.0,
+            "max_ang_acc": 1000.0,
+            "lin_speed_gain": 2.0,
+            "ang_speed_gain": 3.0,
+            "goal_tolerance_lin": 0.1,
+            "goal_tolerance_ang": 5.0,
+            "max_waiting_time": 30.0,
+            "laser_timeout": 1.5,  # a loaded machine is no silent laser
+        }
+        self.worker.start(self.config(modules={"robot_goto": section}))
+
+    @property
+    def module(self) -> Any:
+        return self.worker._running["robot_goto"]._module
+
+    @property
+    def state(self) -> str:
+        return str(self.module.driver.status.state.value)
+
+    def registered(self, port: str) -> str:
+        until(lambda: self.names.query(port), f"{port} is registered", 30)
+        return port
+
+    def close(self) -> None:
+        super().close()
+        self.robot.close()
+        self.yarp.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    made = Served(tmp_path_factory.mktemp("goto"))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def place(running: Served) -> Served:
+    """RobotGoto with nothing to do, its robot in the middle of the room."""
+    robot, module = running.robot, running.module
+    robot.sees = robot.knows = True
+    module._host.loop.call(lambda: module.stop_driving("the test begins"))
+    module._host.loop.call(module.reset)
+    robot.loop.call(lambda: robot.stand(0.0, 0.0, 0.0))
+
+    def ready() -> bool:
+        pose = module._pose_now()
+        return pose is not None and abs(pose.x) < 1e-6 and module.health().state == "running"
+
+    until(ready, "the robot is in the middle and sees", 30)
+    robot.commands.clear()
+    return running
+
+
+def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Served) -> None:
+    states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
+    grids = place.far.subscribe(f"{PLANNER}/local_map", "nav_msgs/OccupancyGrid", latched=True)
+    paths = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
+    sent = Sent(place.robot, 1.0, 0.5, 1.0, Constraints(tolerance_lin=0.08).to_text())
+    assert sent.end() == (Status.SUCCEEDED, {"error_code": 0, "error_msg": ""})
+    robot = place.robot
+    assert math.hypot(robot.x - 1.0, robot.y - 0.5) < 0.2
+    assert abs(math.remainder(robot.yaw - 1.0, math.tau)) < 0.3
+    assert sent.feedback
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "it is told to stand still", 20)
+    count = len(robot.commands)
+    until(lambda: place.far.wait(paths, 0, 0) and place.far.wait(grids, 0, 0), "way and local map are told", 20)
+    assert len(robot.commands) == count, "nobody is to be driven: it is silent"
+    grid = place.far.wait(grids, 0, 0)[-1]
+    assert (grid["info"]["width"], grid["header"]["frame_id"]) == (100, "map")
+    assert {0, -1} <= set(grid["data"])
+    assert "moving" in [each["state"] for each in place.far.wait(states, 0, 0)]
+
+
+def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> None:
+    first = Sent(place.robot, 2.0, 0.0)
+    until(lambda: place.robot.x > 0.1, "it drives", 30)
+    second = Sent(place.robot, -2.0, 0.0)
+    assert first.end() == (Status.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal took its place"})
+    until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "it drives on", 30)
+    second.cancel()
+    assert second.end()[0] is Status.CANCELED
+    until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+
+
+def test_a_goal_that_cannot_be_says_why(place: Served) -> None:
+    status, result = Sent(place.robot, math.nan, 0.0).end()
+    assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
+    status, result = Sent(place.robot, 1.0, 0.0, 0.0, "midspan: speed=2").end()
+    assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
+    assert "'speed' is no constraint" in result["error_msg"]
+
+
+@pytest.mark.parametrize("trouble", ["laser", "frames", "localisation"])
+def test_in_trouble_it_stands_says_why_and_goes_on(place: Served, trouble: str) -> None:
+    robot, driver = place.robot, place.module.driver
+    sent = Sent(robot, 1.5, 0.0)
+    until(lambda: robot.x > 0.05, "it drives", 30)
+    if trouble == "laser":
+        robot.sees = False
+    elif trouble == "frames":
+        robot.knows = False
+    else:
+        robot.localized("not_yet_localized")
+    said = {"laser": "the laser is silent", "frames": "stale", "localisation": "not_yet_localized"}[trouble]
+    until(lambda: said in driver.status.reason, "it says why it waits", 30)
+    assert place.state == "waiting_obstacle"
+    robot.commands.clear()
+    until(lambda: len(robot.commands) > 3, "it commands to stand", 20)
+    assert set(robot.commands) == {(0.0, 0.0, 0.0)}
+    robot.sees = robot.knows = True
+    if trouble == "localisation":
+        robot.localized("localized_ok")
+    assert sent.end()[0] is Status.SUCCEEDED
+
+
+def test_yarp_drives_it_and_hears_its_commands(place: Served) -> None:
+    names, robot = place.names, place.robot
+    rpc = place.registered("/robotGoto/rpc")
+    ok = NavigationStatusEnum
+    with (
+        ServiceClient(INavigation2DMsgs, rpc, naming=names) as client,
+        Reader("/test/control", naming=names) as control,
+    ):
+        connections.connect(names, place.registered("/robotGoto/control:o"), "/test/control")
+        robot.loop.call(lambda: robot.stand(0.0, 0.0, math.pi / 2))
+        until(lambda: (pose := place.module._pose_now()) and pose.theta > 1.5, "it has turned", 20)
+        assert client.remote.goto_target_by_relative_location1_RPC(1.0, 0.0), "a metre to its front, which is north"
+        until(lambda: robot.y > 0.2, "it drives", 30)
+        assert client.remote.suspend_navigation_RPC(0.0)
+        assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_paused
+        assert client.remote.resume_navigation_RPC()
+        target = client.remote.get_absolute_location_of_current_target_RPC()[1]
+        assert (target.x, target.y) == pytest.approx((0.0, 1.0), abs=0.05)
+        reached = ok.navigation_status_goal_reached
+        until(lambda: client.remote.get_navigation_status_RPC()[1] is reached, "it is there", 30)
+        assert (robot.x, robot.y) == pytest.approx((0.0, 1.0), abs=0.2)
+        said = control.read_now()
+        assert said is not None
+        assert (said.values[0], len(said.values), said.values[4]) == (2, 5, 100.0)
+        found, grid = client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map)
+        assert found
+        assert (np.asarray(grid.flags) == MapFlag.FREE).mean() > 0.5
+        assert not client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.global_map)[0]
+        assert not client.remote.suspend_navigation_RPC(1.0), "there is nothing to suspend"
+        assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 0.0, -1.0, math.nan))
+        assert client.remote.stop_navigation_RPC()
+        assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_idle
+
+
+def test_its_commands_in_words_and_as_a_service(place: Served) -> None:
+    rpc = place.registered("/robotGoto/rpc")
+    driver = place.module.driver
+    with Client(rpc, naming=place.names) as words:
+        assert words.ask(["set", "linear_tol", 0.2]) == ["linear_tol set."]
+        assert words.ask(["set", "max_ang_speed", 20.0]) == ["max_ang_speed set."]
+        assert (driver.settings.goal_tolerance_lin, driver.settings.max_ang_speed) == (0.2, math.radians(20.0))
+        assert words.ask(["set", "obstacle_stop", 0]) == ["enable_obstacle_stop=false"]
+        assert not driver.settings.obstacle_stop
+        assert words.ask(["get", "navigation_status"]) == ["navigation_status_idle"]
+        assert words.ask(["reset_params"]) == ["params reset done"]
+        assert driver.settings.goal_tolerance_lin == 0.1
+        assert "approach" in " ".join(map(str, words.ask(["help"])))
+        assert words.ask(["approach", 0.0, 0.5, 0.5]) == ["approach command received"]
+    until(lambda: place.robot.x > 0.02, "it goes forward", 20)
+    with ServiceClient(RobotGotoMsgs, rpc, naming=place.names) as client:
+        assert client.remote.SetMaxLinearSpeed(0.4)
+        assert driver.settings.max_lin_speed == 0.4
+        assert not client.remote.SetMaxLinearSpeed(-1.0)
+        assert client.remote.GetNavigationStatus()[1].startswith("navigation_status_")
+
+
+def test_halt_ends_every_goal(place: Served) -> None:
+    sent = Sent(place.robot, 2.0, 0.0)
+    until(lambda: place.robot.x > 0.05, "it drives", 30)
+    assert place.far.hub.ask("halt", {}, worker="robot_goto")[0].value == {"halted": True}
+    assert sent.end()[1]["error_msg"] == "halted"
+    assert place.state == "idle"
