@@ -170,21 +170,26 @@ def recovered(world: str, seed: int, settings: Settings) -> tuple[float, Localiz
 def rows(minutes: float, seeds: int, starts: int, settings: Settings) -> Iterator[Row]:
     """All figures."""
     for world in WORLDS:
-        runs = [held(world, seed, minutes, settings) for seed in range(seeds)]
-        errors = np.concatenate([run[0] for run in runs])
-        costs = np.concatenate([run[1] for run in runs]) * 1e3
-        name = f"{world}, {seeds} x {minutes:g} min"
-        for column, limit, unit in ((1, METRES, "m"), (2, DEGREES, "deg")):
-            for share in (50, 99, 100):
-                found = float(np.percentile(errors[:, column], share))
-                yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", found, limit, unit)
-        for share in (50, 99, 100):
-            yield Row(f"{name}: a scan, {share} %", float(np.percentile(costs, share)), 100.0, "ms")
+        if seeds:
+            yield from _held_rows(world, minutes, seeds, settings)
         if starts:
             late = [recovered(world, seed, settings)[0] for seed in range(starts)]
-            for share in (50, 100):
+            for share in (50, 90, 100):
                 found = float(np.percentile(late, share))
                 yield Row(f"{world}, {starts} wrong starts: found after, {share} %", found, RECOVERY, "s")
+
+
+def _held_rows(world: str, minutes: float, seeds: int, settings: Settings) -> Iterator[Row]:
+    runs = [held(world, seed, minutes, settings) for seed in range(seeds)]
+    errors = np.concatenate([run[0] for run in runs])
+    costs = np.concatenate([run[1] for run in runs]) * 1e3
+    name = f"{world}, {seeds} x {minutes:g} min"
+    for column, limit, unit in ((1, METRES, "m"), (2, DEGREES, "deg")):
+        for share in (50, 99, 100):
+            found = float(np.percentile(errors[:, column], share))
+            yield Row(f"{name}: error, {f'{share} %' if share < 100 else 'greatest'}", found, limit, unit)
+    for share in (50, 99, 100):
+        yield Row(f"{name}: a scan, {share} %", float(np.percentile(costs, share)), 100.0, "ms")
 
 
 def main() -> None:

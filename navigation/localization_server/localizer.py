@@ -31,6 +31,10 @@ _AFRESH = 0.5
 """Share of the particles that a search puts elsewhere."""
 
 _SCATTER = np.diag([0.1**2, 0.1**2, math.radians(3.0) ** 2])
+_FORCED = 5
+"""Updates after a start, whether the base moves or not."""
+
+_JITTER = np.diag([0.02**2, 0.02**2, math.radians(1.0) ** 2])
 _MEMORY = 0.7
 """Of the quality that was, from one scan to the next."""
 
@@ -70,7 +74,7 @@ class Localizer:
         self._updated: Pose | None = None
         self._correction: Pose | None = None
         self._covariance = np.zeros((3, 3))
-        self._forced = False
+        self._forced = 0
         self._anew = False
         self._quality = 0.0
         self._seen: Pose | None = None
@@ -118,7 +122,7 @@ class Localizer:
         self._updated = self._track.newest
         self._correction = None if self._updated is None else pose @ self._updated.inverse
         self._start = pose
-        self._forced = self._anew = True
+        self._forced, self._anew = _FORCED, True
         self._seen = None
         self._searched_ns, self._fruitless = _NEVER, 0
         self._status, self._reason = Status.NOT_YET, "a start was given, and no scan has been held against it yet"
@@ -191,7 +195,7 @@ class Localizer:
         if len(points) < _FEWEST:
             self._judge(0.0, odometry, "the laser sees nothing: all its beams are empty")
             return False
-        ran = self._forced or self._far(odometry)
+        ran = self._forced > 0 or self._far(odometry)
         if ran:
             self._update(odometry, points)
         here = self._corner.inverse @ self._correction @ odometry
@@ -216,6 +220,8 @@ class Localizer:
         particle_filter.drive(
             self._particles, (step.x, step.y, step.theta), settings.alphas, self._rng, holonomic=settings.holonomic
         )
+        if self._forced:  # standing, particles that were drawn twice would stay the same for ever
+            self._particles += particle_filter.spread(np.zeros(3), _JITTER, len(self._particles), self._rng)
         logs = self._field.score(self._table, self._worst, self._particles, points)
         logs *= min(1.0, settings.independent / len(points))
         self._weights = particle_filter.weighed(self._weights, logs)
@@ -224,7 +230,7 @@ class Localizer:
             which = particle_filter.drawn(self._weights, settings.particles, self._rng)
             self._particles = self._particles[which]
             self._weights = np.full(len(which), 1.0 / len(which))
-        self._updated, self._forced = odometry, False
+        self._updated, self._forced = odometry, max(0, self._forced - 1)
         x, y, theta = found.mean.tolist()
         self._correction = self._corner @ Pose(x, y, theta) @ odometry.inverse
         self._covariance = self._turned(found.covariance)
@@ -278,7 +284,7 @@ class Localizer:
         self._searched_ns = stamp_ns
         self.searches += 1
         lost = self._quality < settings.good
-        wanted = max(share + settings.better, settings.good) if lost else share + 2.0 * settings.better
+        wanted = max(share + settings.better * (1.0 if lost else 2.0), settings.good)
         near = Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)
         windows = [near]
         if self._quality < settings.poor and self._fruitless >= 2:
@@ -316,4 +322,5 @@ class Localizer:
         self._particles = np.concatenate([particles, fresh])
         self._particles[:, 2] = particle_filter.wrapped(self._particles[:, 2])
         self._weights = np.full(len(self._particles), 1.0 / len(self._particles))
-        self._updated, self._forced, self._anew = odometry, True, True
+        self._updated, self._forced, self._anew = odometry, _FORCED, True
+        self._status, self._reason = Status.ERROR, "the scan fits better elsewhere; the next ones decide"
