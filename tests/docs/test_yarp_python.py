@@ -36,4 +36,4 @@ def test_the_examples_run(environment: dict[str, str], example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(EXAMPLES) == 6
+    assert len(EXAMPLES) == 7
