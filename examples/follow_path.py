@@ -1,0 +1,24 @@
+"""Keep a path of several locations at the map server, and follow it without a stop in between.
+
+python follow_path.py tour kitchen hall bedroom
+"""
+
+import sys
+
+import yarp_compat as yarp
+
+name, *places = sys.argv[1:]
+with yarp.Navigation2DClient() as robot:
+    path = yarp.Map2DPath(description="made by follow_path.py")
+    for place in places:
+        location = yarp.Map2DLocation()
+        if not robot.getLocation(place, location):
+            sys.exit(f"{place}: there is no such location")
+        path.push_back(location)
+    robot.storePath(name, path)
+    print(f"{name}: {path.size()} places, {path.getLength():.1f} m")
+    if not robot.followPath(path):
+        sys.exit("the planner does not follow paths")
+    end = robot.wait()
+print(yarp.statusToString(end))
+sys.exit(end is not yarp.navigation_status_goal_reached)
