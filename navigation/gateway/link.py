@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ NAVIGATE = "nav2_msgs/action/NavigateToPose"
 PATH, GRID, POSE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped"
 KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _SENT_KEPT = 1000
+_AGAIN_SECONDS = 5.0
 
 Message = dict[str, Any]
 
@@ -37,7 +39,7 @@ class Link:
         action = section.at(planner)
         self._client = ActionClient(host.node, action, NAVIGATE)
         self._mine: dict[bytes, SentGoal] = {}
-        self._orphans: set[bytes] = set()
+        self._orphans: dict[bytes, float] = {}
         self._listed: dict[bytes, Status] = {}
         self._own: Message | None = None
         self.ended: tuple[bytes, State] | None = None
@@ -102,12 +104,16 @@ class Link:
 
     def cancel_orphans(self) -> None:
         """Have it give up goals from here that it still drives to after they ended here: the link was cut meanwhile."""
+        if not self.ready:
+            self._orphans.clear()
+            return
+        now = time.monotonic()
         for one, status in self._listed.items():
             sent = self._mine.get(one)
             if sent is None or sent.active or status.terminal:
-                self._orphans.discard(one)
-            elif one not in self._orphans:
-                self._orphans.add(one)
+                self._orphans.pop(one, None)
+            elif now >= self._orphans.get(one, 0.0):
+                self._orphans[one] = now + _AGAIN_SECONDS
                 self._client.cancel(one)
 
     def cancel_all(self) -> None:

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -132,8 +133,8 @@ class RosClient:
         self.peer, self._action, self._type, self._field = peer, action, type_, field
         self._goal = 0
 
-    def goto(self, x: float) -> None:
-        goal = {self._field: pose(x)}
+    def goto(self, x: float, frame: str = "map") -> None:
+        goal = {self._field: pose(x, frame=frame)}
         sent = self.peer.ask("send_goal", action=self._action, type=self._type, goal=goal, seconds=SECONDS)
         self._goal = sent["id"]
 
@@ -334,14 +335,29 @@ class Mix:
 
     def faults(self, planner: str) -> Iterator[Cell]:
         """Who is killed in the middle of a goal, and what the others see of it."""
-        tries = {
-            MOVE_BASE: ("planner killed, and back", ROS2, self._kill_planner),
-            NAV2: ("client killed", ROS1, self._kill_client),
+        tries: dict[str, list[tuple[str, str, Callable[[str, Client], str]]]] = {
+            MOVE_BASE: [
+                ("a frame that nobody knows", ROS2, self._unknown_frame),
+                ("the planner's own goal, stopped by YARP", ROS1, self._stop_direct),
+                ("planner killed, and back", ROS2, self._kill_planner),
+            ],
+            NAV2: [("client killed", ROS1, self._kill_client)],
         }
-        if planner not in tries:
-            return
-        part, name, attempt = tries[planner]
-        yield _tried(planner, name, part, lambda: attempt(planner, self.clients[name]))
+        for part, name, attempt in tries.get(planner, []):
+            yield _tried(planner, name, part, partial(attempt, planner, self.clients[name]))
+
+    def _unknown_frame(self, _planner: str, client: Client) -> str:
+        assert isinstance(client, RosClient)
+        client.goto(NEAR, frame="nowhere")  # move_base itself would follow it for ever
+        self._ends(client, "aborted", "aborted")
+        return "yes"
+
+    def _stop_direct(self, _planner: str, client: Client) -> str:
+        client.goto(FAR)
+        until(lambda: self.state() == "moving", "everybody sees that it moves", SECONDS)
+        self.clients[YARP].cancel()
+        self._ends(client, "canceled", "idle")
+        return "yes"
 
     def _kill_planner(self, planner: str, client: Client) -> str:
         client.goto(FAR)

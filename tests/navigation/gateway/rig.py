@@ -134,9 +134,9 @@ class Rig(Place):
         self.section = {**self.section, **changed}
         return self.config(navigation=self.section)
 
-    def have(self, name: str) -> Planner:
+    def have(self, name: str, settings: Any = None) -> Planner:
         """Start a planner, and wait until the gateway finds it where it is the chosen one."""
-        self.planners[name] = made = Planner(self.hubs.settings(name), name)
+        self.planners[name] = made = Planner(settings or self.hubs.settings(name), name)
         until(lambda: self.gateway.planner != name or self.gateway.link.ready, f"{name} is found", SECONDS)
         return made
 

@@ -11,6 +11,7 @@ import pytest
 from bridge.stores.kinds import AREA, LOCATION, MAP
 from navigation.status import State
 from tests.navigation.gateway.rig import Asked, Rig, pose
+from tests.support.faults import FaultProxy
 from tests.support.wait import until
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -150,6 +151,39 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
     finally:
         rig.worker.reload(rig.configured(patience=60.0))
         rig.planner = rig.have("robot_goto")
+
+
+def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: Rig) -> None:
+    rig.planners.pop("robot_goto").close()
+    with FaultProxy(rig.hubs.port) as link:
+        far = {"router": f"tcp/127.0.0.1:{link.port}", "zenoh": {"mode": "client"}, "shared_memory": False}
+        planner = rig.have("robot_goto", rig.hubs.settings("robot_goto", **far))
+        try:
+            # it is back in time: the client's goal goes on
+            asked = Asked(rig.client, pose(5.0))
+            planner.until(1)
+            link.freeze()
+            rig.state(State.ERROR, "robot_goto is not there")
+            link.thaw()
+            link.cut()
+            again = planner.until(2)
+            planner.reach(again)
+            assert asked.end() == ("SUCCEEDED", "")
+            # it is not: the client is told, and the planner once that can be
+            rig.worker.reload(rig.configured(patience=0.3))
+            asked = Asked(rig.client, pose(6.0))
+            goal = planner.until(3)
+            link.freeze()
+            assert asked.end() == ("ABORTED", "the planner robot_goto is not there")
+            assert goal.active
+            link.thaw()
+            link.cut()
+            until(lambda: not goal.active, "the planner was told to stop", 30)
+            assert goal.status.name == "CANCELED"
+        finally:
+            rig.worker.reload(rig.configured(patience=60.0))
+            rig.planners.pop("robot_goto").close()
+            rig.planner = rig.have("robot_goto")
 
 
 def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig: Rig) -> None:
