@@ -1,0 +1,122 @@
+"""The stand-in for move_base behaves as the real one was measured to, so that what is tried over it says something."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.navigation.gateway.rig import pose
+from tests.support.peer import Peer
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON, RosMaster
+from tests.support.wait import until
+
+PENDING, ACTIVE, PREEMPTED, SUCCEEDED, ABORTED, RECALLED = 0, 1, 2, 3, 4, 8
+GOAL, RESULT = "move_base_msgs/MoveBaseActionGoal", "move_base_msgs/MoveBaseActionResult"
+SECONDS = 30.0
+
+
+class Direct:
+    """A rospy program that speaks actionlib's topics itself."""
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self._goals = peer.advertise("/move_base/goal", GOAL)
+        self._cancels = peer.advertise("/move_base/cancel", "actionlib_msgs/GoalID")
+        self._simple = peer.advertise("/move_base_simple/goal", "geometry_msgs/PoseStamped")
+        self._results = peer.subscribe("/move_base/result", RESULT)
+        self._statuses = peer.subscribe("/move_base/status", "actionlib_msgs/GoalStatusArray")
+        self.targets = peer.subscribe("/move_base/current_goal", "geometry_msgs/PoseStamped")
+        for end in (self._goals, self._cancels, self._simple):
+            until(lambda end=end: peer.ask("connections", id=end)["count"], "the stand-in hears", SECONDS)
+        until(lambda: peer.wait(self._statuses, 1, 0.5), "the stand-in says", SECONDS)
+
+    def goal(self, name: str, x: float, secs: int = 0, frame: str = "map", w: float = 1.0) -> None:
+        target = {**pose(x, frame=frame), "pose": {"position": {"x": x}, "orientation": {"w": w}}}
+        stamp = {"secs": secs, "nsecs": 0}
+        self.peer.publish(self._goals, {"goal_id": {"id": name, "stamp": stamp}, "goal": {"target_pose": target}})
+
+    def cancel(self, name: str = "", secs: int = 0) -> None:
+        self.peer.publish(self._cancels, {"id": name, "stamp": {"secs": secs, "nsecs": 0}})
+
+    def simple(self, x: float) -> None:
+        self.peer.publish(self._simple, pose(x))
+
+    def listed(self) -> dict[str, tuple[int, str]]:
+        """State and text of each goal in the newest status list."""
+        newest = self.peer.wait(self._statuses, 1, 1.0)[-1]
+        return {one["goal_id"]["id"]: (one["status"], one["text"]) for one in newest["status_list"]}
+
+    def is_in(self, name: str, state: int) -> str:
+        """The text of a goal, once it is in a state."""
+        until(lambda: self.listed().get(name, (-1, ""))[0] == state, f"{name} is in state {state}", SECONDS)
+        return self.listed()[name][1]
+
+    def result(self, name: str) -> dict[str, Any]:
+        """A goal's result."""
+        found = [m["status"] for m in self.peer.wait(self._results, 0, 0.0) if m["status"]["goal_id"]["id"] == name]
+        return found[0] if len(found) == 1 else {}
+
+
+@pytest.fixture
+def direct() -> Iterator[Direct]:
+    program = Path(__file__).parents[1] / "support" / "ros1_move_base.py"
+    with RosMaster() as master, Process([ROS1_PYTHON, program, "5.0", "0.3"], master.env), master.peer() as peer:
+        yield Direct(peer)
+
+
+def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> None:
+    # ends, and their texts
+    direct.goal("near", 1.0)
+    assert direct.is_in("near", SUCCEEDED) == "Goal reached."
+    until(lambda: direct.result("near"), "the result came", SECONDS)
+    direct.goal("nowhere", 999.0)
+    assert direct.is_in("nowhere", ABORTED).startswith("Failed to find a valid plan.")
+    direct.goal("turned", 1.0, w=0.0)
+    assert direct.is_in("turned", ABORTED) == "Aborting on goal because it was sent with an invalid quaternion"
+
+    # another goal takes the place; a cancellation has an empty text
+    direct.goal("first", 500.0)
+    direct.is_in("first", ACTIVE)
+    direct.goal("second", 500.0)
+    direct.is_in("second", ACTIVE)
+    assert "another goal was recieved" in direct.is_in("first", PREEMPTED)
+    direct.cancel("second")
+    assert direct.is_in("second", PREEMPTED) == ""
+    assert len(direct.listed()) >= 3  # a list of many
+
+    # a frame that nobody knows, or with a slash: active for ever, told again at each control cycle
+    before = len(direct.peer.wait(direct.targets, 0, 0.0))
+    direct.goal("lost", 1.0, frame="/map")
+    assert len(direct.peer.wait(direct.targets, before + 5, SECONDS)) >= before + 5
+    assert direct.listed()["lost"][0] == ACTIVE
+    direct.cancel()
+    direct.is_in("lost", PREEMPTED)
+
+    # ids and stamps, as actionlib's server has it
+    direct.simple(500.0)
+    name = until(
+        lambda: next((n for n, (s, _) in direct.listed().items() if s == ACTIVE), ""), "a goal has an id", SECONDS
+    )
+    assert re.fullmatch(r"/move_base-\d+-\d+\.\d+", name)
+    direct.goal("old", 1.0, secs=5)
+    assert "another goal was recieved" in direct.is_in("old", RECALLED)
+    direct.cancel(secs=2_000_000_000)
+    direct.is_in(name, PREEMPTED)
+    direct.goal("late", 1.0, secs=1_900_000_000)
+    assert "before the timestamp of the last cancel request" in direct.is_in("late", RECALLED)
+    direct.cancel("never seen", secs=2_000_000_001)
+    direct.goal("never seen", 1.0, secs=2_100_000_000)
+    direct.is_in("never seen", RECALLED)
+    direct.goal("again", 1.0, secs=2_100_000_000)
+    direct.is_in("again", SUCCEEDED)
+    direct.goal("again", 500.0, secs=2_100_000_001)  # ignored: it is in the list
+    direct.goal("last", 1.0, secs=2_100_000_002)
+    direct.is_in("last", SUCCEEDED)
+    assert direct.listed().get("again", (SUCCEEDED, ""))[0] == SUCCEEDED
+    late = direct.peer.subscribe("/move_base/result", RESULT)
+    assert not direct.peer.wait(late, 1, 1.0)  # a result is not latched
