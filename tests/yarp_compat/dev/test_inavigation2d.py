@@ -160,12 +160,14 @@ class Planner:
     def __init__(self) -> None:
         self.told: list[Any] = []
         self.target: Map2DLocation | None = None
-        self.refuses: Exception | None = None
+        self.refuses: CallFailed | ReturnValue | None = None
 
-    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        if self.refuses is not None:
+    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> ReturnValue | None:
+        if isinstance(self.refuses, CallFailed):
             raise self.refuses
-        self.target = loc
+        if self.refuses is None:
+            self.target = loc
+        return self.refuses
 
     def gotoTargetByRelativeLocation(self, *pose: float) -> None:
         self.told.append(pose)
@@ -256,9 +258,9 @@ def test_the_name_of_a_target(remote: INavigation2DMsgs, planner: Planner) -> No
         assert forget()
         assert remote.get_name_of_current_target_RPC() == (OK, "")
     assert go(KITCHEN, "kitchen")
-    planner.refuses = CallFailed(ReturnCode.METHOD_FAILED, "off the map")
-    assert not go(KITCHEN, "elsewhere")
-    assert remote.get_name_of_current_target_RPC() == (OK, "kitchen")
+    for planner.refuses in (CallFailed(ReturnCode.METHOD_FAILED, "off the map"), FAILED):
+        assert not go(KITCHEN, "elsewhere")
+        assert remote.get_name_of_current_target_RPC() == (OK, "kitchen")
 
 
 def test_goals_that_are_none_do_not_reach_the_device(remote: INavigation2DMsgs, planner: Planner) -> None:

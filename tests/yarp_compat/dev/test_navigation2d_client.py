@@ -42,12 +42,12 @@ class Robot(Planner):
 
     def __init__(self) -> None:
         super().__init__()
-        self.status = "moving"
+        self.status, self.coming = "moving", list[str]()
         self.placed: list[Any] = []
         self.located: tuple[Map2DLocation, Any] | None = (Map2DLocation("m1", 1.0, 2.1, 100.0), COVARIANCE)
 
     def getNavigationStatus(self) -> str:
-        return self.status
+        return self.coming.pop(0) if self.coming else self.status
 
     def resumeNavigation(self) -> None:
         self.told.append("resume")
@@ -211,7 +211,7 @@ def test_the_python_way(client: Navigation2DClient, robot: Robot) -> None:
         client.go("nowhere")
     with pytest.raises(TimeoutError, match="moving"):
         client.wait(0)
-    robot.status = "aborted"
+    robot.status, robot.coming = "aborted", ["moving", "paused"]
     assert client.wait() is client.status is NavigationStatusEnum.navigation_status_aborted
 
 
