@@ -8,7 +8,8 @@ from dataclasses import replace
 from benchmarks.closedloop.robot import Robot
 from benchmarks.closedloop.worlds import World
 from navigation.constraints import Constraints
-from navigation.localization_server.localizer import Localizer, Status
+from navigation.localization_server.estimate import Status
+from navigation.localization_server.localizer import Localizer
 from navigation.localization_server.scan import scan_points
 from navigation.localization_server.settings import Settings as LocalizerSettings
 from navigation.pose import Pose

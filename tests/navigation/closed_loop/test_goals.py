@@ -1,0 +1,36 @@
+"""Random goals with our planner and localiser: reached, nothing touched, no keep-out cell entered.
+
+Three for each world and base; benchmarks/goals.py drives to hundreds.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from benchmarks.closedloop.drive import Loop
+from benchmarks.closedloop.judge import Judge
+from benchmarks.closedloop.robot import Robot
+from benchmarks.closedloop.stack import Ours
+from benchmarks.closedloop.targets import Targets
+from benchmarks.closedloop.worlds import world
+
+NEAR = 2.2
+"""Metres of way to a goal at most."""
+
+
+@pytest.mark.parametrize("base", ["r1", "ikart_v1"])
+@pytest.mark.parametrize("name", ["apartment", "office", "lab", "hall", "two_storeys/ground", "two_storeys/upper"])
+def test_random_goals_are_reached_without_a_contact(name: str, base: str) -> None:
+    there = world(name)
+    robot = Robot(there.plan, base, seed=3)
+    judge = Judge(robot, there.keep_out)
+    loop = Loop(robot, Ours(robot, there), judge)
+    loop.settle()
+    for goal, way in itertools.islice(Targets(there, robot, seed=3, farthest=NEAR), 3):
+        drive = loop.drive(goal, way)
+        assert drive.reached, (goal, drive)
+        assert drive.lost < 0.15
+    assert judge.contacts == 0, judge.where
+    assert judge.entered == 0, judge.where
