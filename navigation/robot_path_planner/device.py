@@ -30,8 +30,8 @@ class Asked(Protocol):
     def pose(self) -> Pose:
         """The robot's on the map; raises `RuntimeError` with why it is not known."""
 
-    def drive(self, place: Place) -> None:
-        """Drive there."""
+    def drive(self, *places: Place) -> None:
+        """Drive there, one after the other."""
 
     def stop_driving(self, reason: str) -> None:
         """Give the goal up."""
@@ -52,8 +52,10 @@ class Device:
         self._asked, self._call = asked, call
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        place = Place(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))
-        self._call(lambda: self._asked.drive(place))
+        self._call(lambda: self._asked.drive(_place(loc)))
+
+    def followPath(self, path: Map2DPath) -> None:
+        self._call(lambda: self._asked.drive(*map(_place, path)))
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def drive() -> None:
@@ -124,6 +126,10 @@ class Device:
             return self._asked.pose()
         except RuntimeError as err:
             raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
+
+
+def _place(loc: Map2DLocation) -> Place:
+    return Place(loc.map_id, Pose(loc.x, loc.y, math.radians(loc.theta)))
 
 
 def _location(map_name: str, pose: Pose) -> Map2DLocation:

@@ -124,11 +124,12 @@ class RobotPathPlanner(Module):
             raise FramesError(f"the localisation says '{self._localized}'")
         return self._frames.pose()
 
-    def drive(self, place: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
-        """Drive to a place, instead of where it is driving."""
+    def drive(self, *places: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
+        """Drive to places, one after the other, instead of where it is driving."""
         self._finish_before()
         self._goal = goal
-        self.planner.goal(place.pose, place.map_name, constraints, now=self.now())
+        place, *further = places
+        self.planner.goal(place.pose, place.map_name, constraints, now=self.now(), then=further)
         self._began, self._length = self.now(), 0.0
         if goal is not None:
             goal.execute()
@@ -174,7 +175,7 @@ class RobotPathPlanner(Module):
         except PlanError as err:
             goal.abort(_result(err.fault, str(err)))
             return True
-        self.drive(place, wanted, goal)
+        self.drive(place, constraints=wanted, goal=goal)
         return True
 
     def _cancel(self, goal: Goal) -> bool:

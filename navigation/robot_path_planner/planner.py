@@ -7,23 +7,24 @@ times a second.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navigation.algorithms.shortcut import sees
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.clutter import Clutter
 from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground
-from navigation.robot_path_planner.itinerary import Atlas, NoAtlas, Place, leg
+from navigation.robot_path_planner.itinerary import Atlas, Leg, NoAtlas, Place, leg
+from navigation.robot_path_planner.lines import Places, blocked, cut, is_straight, length
 from navigation.robot_path_planner.local import LocalNavigator
 from navigation.robot_path_planner.settings import Settings
 from navigation.robot_path_planner.task import Task
-from navigation.robot_path_planner.way import Places, Way, Waypoint, blocked, way
+from navigation.robot_path_planner.way import Way, Waypoint, way
 from navigation.status import Fault, State
 
 _WATCH = 0.5
@@ -39,6 +40,10 @@ _BEGIN = 5.0
 _NEARER = 0.5
 """Metres that the robot has to come nearer for its attempts to be counted anew."""
 _TURNED = math.radians(30.0)
+_PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
+"""Seconds that the way is waited for to become free again, for each metre by which another one is longer."""
+_DETOUR = 3.0
+"""Metres by which a way round what the laser sees may be longer for it to be taken before anything has stopped."""
 _AT_LINK = 3.0
 """Metres from a link's end within which a robot that has changed maps is believed to be there."""
 
@@ -123,7 +128,7 @@ class PathPlanner:
         task = self._task
         if task is None:
             return 0.0
-        return _length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
+        return length(self._ahead(pose)) if task.waypoints else pose.distance(task.goal.pose)
 
     def use_map(self, ground: Ground | None) -> None:
         """Plan on another map from now on, or on what has become of this one."""
@@ -137,7 +142,15 @@ class PathPlanner:
         elif task.arrived is None and blocked(ground, ground.weights == 0, self._line(task)):
             task.due = "the map has changed"
 
-    def goal(self, pose: Pose, map_name: str = "", constraints: Constraints | None = None, *, now: float = 0.0) -> None:
+    def goal(
+        self,
+        pose: Pose,
+        map_name: str = "",
+        constraints: Constraints | None = None,
+        *,
+        now: float = 0.0,
+        then: Sequence[Place] = (),
+    ) -> None:
         """Drive there, instead of where it is driving.
 
         Args:
@@ -145,9 +158,11 @@ class PathPlanner:
             map_name: which; empty for the map at hand.
             constraints: what holds instead of the settings.
             now: seconds.
+            then: where to drive on to from there, one after the other.
         """
-        name = map_name or (self._ground.name if self._ground else "")
-        self._task = Task(Place(name, pose), constraints or Constraints(), now)
+        here = self._ground.name if self._ground else ""
+        further = tuple(replace(place, map_name=place.map_name or here) for place in then)
+        self._task = Task(Place(map_name or here, pose), constraints or Constraints(), now, further)
         self._paused_until = -math.inf
         self.status = Status(State.THINKING, self._task.due)
 
@@ -244,7 +259,7 @@ class PathPlanner:
         if not self._is_at_link(task, now, pose):
             return
         try:
-            found = self._way(task, pose)
+            found = self._way(task, pose) if task.attempts else self._first_way(task, pose)
         except PlanError as err:
             if not err.passing:
                 raise
@@ -253,7 +268,19 @@ class PathPlanner:
         task.due, task.blocked_since = "", None
         self._set_out(task, now, pose, local, found)
 
-    def _way(self, task: Task, pose: Pose) -> Way:
+    def _first_way(self, task: Task, pose: Pose) -> Way:
+        """The way round what the laser sees, where that is not much longer: it may be gone when the robot is there."""
+        short = self._way(task, pose, around=False)
+        try:
+            around = self._way(task, pose)
+        except PlanError as err:
+            if not err.passing:
+                raise
+            return short
+        return around if around.length <= short.length + _DETOUR else short
+
+    def _way(self, task: Task, pose: Pose, *, around: bool = True) -> Way:
+        """A way by the map, and around what the laser sees."""
         ground, clutter = self._ground, self._clutter
         if ground is None or clutter is None:
             raise PlanError(Fault.NO_MAP, "there is no map to plan on")
@@ -264,7 +291,7 @@ class PathPlanner:
                 raise PlanError(Fault.MAP_CHANGED, f"the map was changed to {ground.name} on the way: {err}") from None
             raise
         wanted = task.wanted if task.leg.onto is None else None
-        weights = clutter.weights() if len(clutter.cells) else None
+        weights = clutter.weights() if around and len(clutter.cells) else None
         return way(ground, pose, task.leg.end.pose, self.settings, wanted, weights)
 
     def _set_out(self, task: Task, now: float, pose: Pose, local: LocalNavigator, found: Way) -> None:
@@ -314,10 +341,10 @@ class PathPlanner:
         ground, clutter = self._ground, self._clutter
         assert ground is not None
         assert clutter is not None
-        if not _is_straight(ground, pose, task.waypoint.pose):
+        if not is_straight(ground, pose, task.waypoint.pose):
             task.due = "the way is not straight any more"
             return
-        if not len(clutter.cells) or not blocked(ground, clutter.closed(), _cut(self._ahead(pose), _AHEAD)):
+        if not len(clutter.cells) or not blocked(ground, clutter.closed(), cut(self._ahead(pose), _AHEAD)):
             task.closed_since = None
             return
         task.closed_since = now if task.closed_since is None else task.closed_since
@@ -334,6 +361,9 @@ class PathPlanner:
                 raise
             task.closed_since = now  # there is no other; who drives waits for it
             return
+        longer = found.length - self.remaining(pose)
+        if now - task.closed_since < min(_PATIENCE_PER_METRE * longer, _LONGEST_PATIENCE):
+            return  # somebody in a corridor is gone sooner than a long way round is driven
         task.attempts += 1
         task.recoveries += 1
         self._set_out(task, now, pose, local, found)
@@ -351,12 +381,19 @@ class PathPlanner:
 
     def _arrive(self, task: Task, now: float, local: LocalNavigator) -> None:
         assert task.leg is not None
-        if task.leg.onto is None:
+        if task.leg.onto is None and task.then:
+            task.goal, *further = task.then
+            task.then, task.due, task.waypoints, task.best = tuple(further), "the next place", (), math.inf
+        elif task.leg.onto is None:
             self._end(local, Status(State.REACHED, "the goal is reached"))
-            return
+        else:
+            self._wait_at_link(task, task.leg, now)
+
+    def _wait_at_link(self, task: Task, part: Leg, now: float) -> None:
+        assert part.onto is not None
         task.arrived = now
-        name = task.leg.end.name or f"({task.leg.end.pose.x:.2f}, {task.leg.end.pose.y:.2f})"
-        self.status = Status(State.WAITING, f"at {name}: waits to be on the map {task.leg.onto.map_name}")
+        name = part.end.name or f"({part.end.pose.x:.2f}, {part.end.pose.y:.2f})"
+        self.status = Status(State.WAITING, f"at {name}: waits to be on the map {part.onto.map_name}")
 
     def _wait_for_map(self, task: Task, now: float) -> None:
         assert task.arrived is not None
@@ -432,12 +469,6 @@ def _to(task: Task) -> str:
     return f"to become {task.leg.onto.map_name}" if task.leg.onto else "to stay"
 
 
-def _is_straight(ground: Ground, one: Pose, other: Pose) -> bool:
-    """Whether nothing lies between; one that stands where it should not is on its way out."""
-    here, there = ground.cell(one.x, one.y), ground.cell(other.x, other.y)
-    return here is None or there is None or not ground.open[here] or sees(ground.open, here, there)
-
-
 def _is_passed(pose: Pose, waypoint: Waypoint) -> bool:
     return pose.distance(waypoint.pose) <= (waypoint.constraints.tolerance_lin or 0.1)
 
@@ -447,19 +478,3 @@ def _is_there(pose: Pose, waypoint: Waypoint) -> bool:
     near, turn = waypoint.constraints.tolerance_lin or 0.0, math.radians(waypoint.constraints.tolerance_ang or 0.0)
     turned = not waypoint.constraints.heading or abs(wrapped(pose.theta - waypoint.pose.theta)) <= turn
     return pose.distance(waypoint.pose) <= near and turned
-
-
-def _length(places: Places) -> float:
-    return float(np.hypot(*np.diff(places, axis=0).T).sum())
-
-
-def _cut(places: Places, metres: float) -> Places:
-    """The first metres of a line."""
-    steps = np.hypot(*np.diff(places, axis=0).T)
-    whole = np.concatenate(([0.0], np.cumsum(steps)))
-    if whole[-1] <= metres:
-        return places
-    number = int(np.searchsorted(whole, metres))
-    share = (metres - whole[number - 1]) / steps[number - 1]
-    end = places[number - 1] + share * (places[number] - places[number - 1])
-    return np.concatenate((places[:number], [end]))

@@ -18,6 +18,7 @@ class Task:
         goal: where to.
         wanted: what whoever sent it asks for.
         since: when it came.
+        then: where to go on to from there, one after the other.
         due: why a way is to be planned; empty where that is not so.
         not_before: when that is tried next.
         leg: what is driven on the map at hand.
@@ -39,6 +40,7 @@ class Task:
     goal: Place
     wanted: Constraints
     since: float
+    then: tuple[Place, ...] = ()
     due: str = "a new goal"
     not_before: float = -math.inf
     leg: Leg | None = None

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
@@ -16,11 +15,10 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.escape import escape
 from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Cell, Ground
+from navigation.robot_path_planner.lines import Places, length, sampled
 from navigation.robot_path_planner.settings import Settings
 from navigation.status import Fault
 from yarp_compat.dev.area_behaviour import AreaBehaviour
-
-Places = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -93,25 +91,7 @@ def way(
         note = f"the robot stands {reason}; it leaves by the shortest way"
     places = np.concatenate(([(start.x, start.y)], places[1:-1], [(goal.x, goal.y)]))
     made = _waypoints(ground, places, goal, settings, wanted or Constraints())
-    return Way(made, float(np.hypot(*np.diff(places, axis=0).T).sum()), note)
-
-
-def blocked(ground: Ground, closed: NDArray[np.bool_], places: Places) -> bool:
-    """Whether a line over places, (n, 2) metres, comes through closed cells; those that it begins in do not count."""
-    columns, rows = ground.grid.cells_at(sampled(places, ground.grid.resolution / 2)).T
-    fits = (rows >= 0) & (rows < closed.shape[0]) & (columns >= 0) & (columns < closed.shape[1])
-    found = closed[rows[fits], columns[fits]]
-    free = np.flatnonzero(~found)
-    return bool(len(free)) and bool(found[free[0] :].any())
-
-
-def sampled(places: Places, step: float) -> Places:
-    """Places along a line, no further apart than a step."""
-    made = [places[:1]]
-    for one, other in pairwise(places):
-        count = max(math.ceil(math.dist(one, other) / step), 1)
-        made.append(one + (other - one) * (np.arange(1, count + 1) / count)[:, None])
-    return np.concatenate(made)
+    return Way(made, length(places), note)
 
 
 def _ends(ground: Ground, start: Pose, goal: Pose) -> tuple[Cell, Cell]:

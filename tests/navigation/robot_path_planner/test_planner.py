@@ -9,6 +9,7 @@ import pytest
 
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
+from navigation.robot_path_planner.itinerary import Place
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.floors import ROOMS, Drive, floor, paint
 from tests.navigation.robot_path_planner.test_way import LIFT, Two, area
@@ -63,6 +64,16 @@ def test_a_new_goal_takes_the_place_of_the_old_one_without_a_stop() -> None:
     drive.goto(EAST, seconds=2.0)
     assert drive.goto(Pose(1.0, 4.0, 0.0)).state is State.REACHED
     assert not drive.local.cancelled
+
+
+def test_a_path_is_followed_place_by_place() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    north = Place("", Pose(1.0, 4.0, 1.5))
+    drive.planner.goal(EAST, now=drive.now, then=[north, Place("floor", WEST)])
+    assert drive.run(120.0).state is State.REACHED
+    assert drive.local.pose[:3] == WEST[:3]
+    headed = list(dict.fromkeys(sent[0][:3] for sent in drive.local.sent if sent[1].heading))
+    assert headed == [EAST[:3], north.pose[:3], WEST[:3]]
 
 
 def test_cancelling_and_pausing_stop_it() -> None:

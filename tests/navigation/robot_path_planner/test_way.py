@@ -14,8 +14,9 @@ from navigation.robot_path_planner.clutter import Clutter
 from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.itinerary import Leg, Link, Place, leg
+from navigation.robot_path_planner.lines import sampled
 from navigation.robot_path_planner.settings import Settings
-from navigation.robot_path_planner.way import sampled, way
+from navigation.robot_path_planner.way import way
 from navigation.status import Fault
 from tests.navigation.robot_path_planner.floors import ROOMS, SETTINGS, floor, paint
 from yarp_compat.dev.area_behaviour import AreaBehaviour

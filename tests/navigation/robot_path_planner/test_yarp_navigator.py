@@ -1,0 +1,117 @@
+"""A server of INavigation2D as the local navigator."""
+
+# ruff: noqa: N802 - YARP's names
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_path_planner.yarp_navigator import YarpNavigator
+from navigation.status import State
+from tests.support.ports import free_port
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.navigation2d_server import Navigation2DServer
+from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
+from yarp_compat.dev.server import Server
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.generation import Generation, Generations
+
+
+class Goto:
+    """A robotGoto that drives as the test says."""
+
+    def __init__(self) -> None:
+        self.state, self.refuses = "idle", False
+        self.goals: list[Map2DLocation] = []
+
+    def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
+        if self.refuses:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "no")
+        self.goals.append(loc)
+        self.state = "moving"
+
+    def stopNavigation(self) -> None:
+        self.state = "idle"
+
+    def getNavigationStatus(self) -> str:
+        return self.state
+
+
+class Network:
+    """A name server, and a port with a robotGoto."""
+
+    def __init__(self) -> None:
+        port = free_port()
+        self.server = NameServer(port=port, gc_seconds=0)
+        self.server.open()
+        self.names = NameClient(Address("127.0.0.1", port), namespace="/root")
+        self.goto = Goto()
+        self.port = self.opened()
+        self.navigator = YarpNavigator("/robotGoto", lambda: "floor", self.names)
+
+    def opened(self) -> PortCore:
+        answers = Server(Navigation2DServer(self.goto), Generations(Generation.YARP_4))
+        port = PortCore("/robotGoto/rpc", on_message=answers, on_event=answers.on_event, naming=self.names,
+                        is_output=False, rpc=True)  # fmt: skip
+        port.open()
+        return port
+
+    def becomes(self, state: State) -> None:
+        until(lambda: self.navigator.state is state, f"it is {state}", 20)
+
+    def close(self) -> None:
+        self.navigator.close()
+        self.port.close()
+        self.server.close()
+
+
+@pytest.fixture
+def network() -> Iterator[Network]:
+    made = Network()
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_goals_and_their_end_cross(network: Network) -> None:
+    network.becomes(State.IDLE)
+    network.navigator.send(Pose(1.0, 2.0, math.pi / 2), Constraints(heading=False, through=True))
+    assert network.navigator.state is State.PREPARING
+    network.becomes(State.MOVING)
+    network.goto.state = "waiting_obstacle"
+    network.becomes(State.WAITING)
+    network.goto.state = "goal_reached"
+    network.becomes(State.REACHED)
+    network.goto.state = "idle"  # as robotGoto does some time after it has arrived
+    network.navigator.send(Pose(3.0, 4.0, math.pi / 2), Constraints())
+    assert network.navigator.state is State.PREPARING
+    network.becomes(State.MOVING)
+    first, second = network.goto.goals
+    assert (first.map_id, first.x, first.y) == ("floor", 1.0, 2.0)
+    assert math.isnan(first.theta), "any heading will do"
+    assert second.theta == pytest.approx(90.0)
+    network.navigator.cancel()
+    until(lambda: network.goto.state == "idle", "it stops", 20)
+    network.goto.refuses = True
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.becomes(State.FAILING)
+    assert "refused" in network.navigator.reason
+
+
+def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
+    network.becomes(State.IDLE)
+    network.port.close()
+    network.becomes(State.ERROR)
+    assert "/robotGoto/rpc" in network.navigator.reason
+    network.port = network.opened()
+    network.becomes(State.IDLE)
