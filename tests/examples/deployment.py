@@ -1,0 +1,93 @@
+"""A deployment for the examples: the daemon with its gateway, a planner that is quick, and places on a map."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from tests.interop.deployment import Deployment
+from tests.interop.mix_table import HubPlanner
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import ros2_environment, ros2_python
+from tests.support.wait import until
+from yarp_compat.dev.localization2d_server import Localization2DServer
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.map2d_client import Map2DClient
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.service_server import ServiceServer
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLACES = {"kitchen": 1.0, "hall": 3.0, "bedroom": 0.0}
+PLANNER = "robot_path_planner"
+
+
+class Examples:
+    """All that the examples speak to."""
+
+    def __init__(self, deployment: Deployment) -> None:
+        self.deployment = deployment
+        self.address = Address("127.0.0.1", free_port())
+        (deployment.folder / "yarp.conf").write_text(f"{self.address.host} {self.address.port} yarp\n")
+        self.names = NameClient(self.address, namespace="/root")
+        deployment.start(
+            yarp={"nameserver": "embedded", "address": f"127.0.0.1:{self.address.port}", "poll": 0.1},
+            navigation={"planner": PLANNER, "patience": 60.0},
+            modules={"map2d_server": {"enabled": True, "current": "flat"}},
+            store={"enabled": True},
+            **yaml.safe_load((EXAMPLES / "zenoh.yaml").read_text()),
+        )
+        self.planner = deployment.keep(HubPlanner(deployment.settings(PLANNER), PLANNER))
+        until(lambda: all(map(self.names.query, _DOORS)), "YARP's doors are open", 40)
+        self._place()
+        answers = Localization2DServer(self)
+        self._localizer = ServiceServer("/localization2D_nws_yarp/rpc", answers, naming=self.names).open()
+
+    def _place(self) -> None:
+        with Map2DClient(naming=self.names) as maps:
+            maps.maps["flat"] = MapGrid2D.of(np.zeros((40, 40), np.uint8), name="flat", resolution=0.1)
+            for name, x in PLACES.items():
+                maps.locations[name] = Map2DLocation("flat", x, 0.0, 0.0)
+
+    def getCurrentPosition(self) -> tuple[Map2DLocation, None]:  # noqa: N802 - YARP's name
+        """Where the stand-in for a localiser says that the planner's robot is."""
+        return Map2DLocation("flat", self.at(), 0.0, 0.0), None
+
+    def at(self) -> float:
+        """Where the robot is, along x."""
+        return float(self.planner._x)
+
+    def start(self, side: str, example: str, *words: str) -> Process:
+        """Start an example in its side's interpreter."""
+        env = {**os.environ, "YARP_CONFIG_HOME": str(self.deployment.folder), "PYTHONUNBUFFERED": "1"}
+        python: Any = sys.executable
+        if side == "rospy":
+            python, env = ROS1_PYTHON, self.deployment.master.env
+        elif side == "rclpy":
+            python, env = ros2_python(), ros2_environment()
+        return Process([python, EXAMPLES / example, *words], env)
+
+    def stop(self) -> None:
+        """Close what the test's own process opened."""
+        self._localizer.close()
+
+
+_DOORS = ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc")
+
+
+def run(program: Process, seconds: float = 60.0) -> tuple[int, list[str]]:
+    """Wait for a program's end; its exit code and what it printed."""
+    try:
+        code = program.popen.wait(seconds)
+    except subprocess.TimeoutExpired:
+        raise AssertionError(f"it did not end: {program.output()}") from None
+    return code, program.output().splitlines()
