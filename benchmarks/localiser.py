@@ -52,13 +52,22 @@ _CONTROL = 10
 
 
 class Tour:
-    """Drives a simulated robot from one random place to another, by the truth, so that the localiser steers nothing."""
+    """Drives a simulated robot from one random place to another, by the truth, so that the localiser steers nothing.
+
+    Args:
+        there: the simulation.
+        seed: of the places.
+
+    Attributes:
+        grid: the floor's map.
+        ahead: the way that is left, metres.
+    """
 
     def __init__(self, there: Simulation, seed: int) -> None:
         self.there = there
         self.grid = export.grid(there.plan, there.floor)
         self._rng = np.random.default_rng(seed)
-        self._way: list[tuple[float, float]] = []
+        self.ahead: list[tuple[float, float]] = []
         self._moved, self._at, self._backs = 0.0, (0.0, 0.0), 0.0
 
     def steer(self) -> None:
@@ -68,12 +77,12 @@ class Tour:
         if math.hypot(x - self._at[0], y - self._at[1]) > 0.1:
             self._at, self._moved = (x, y), now
         if now - self._moved > _STUCK:
-            self._way, self._moved, self._backs = [], now, now + 1.0
-        while self._way and math.hypot(self._way[0][0] - x, self._way[0][1] - y) < _AHEAD:
-            self._way.pop(0)
-        if not self._way:
-            self._way = self._next(x, y)
-        to_x, to_y = self._way[0]
+            self.ahead, self._moved, self._backs = [], now, now + 1.0
+        while self.ahead and math.hypot(self.ahead[0][0] - x, self.ahead[0][1] - y) < _AHEAD:
+            self.ahead.pop(0)
+        if not self.ahead:
+            self.ahead = self._next(x, y)
+        to_x, to_y = self.ahead[0]
         error = wrapped(math.atan2(to_y - y, to_x - x) - yaw)
         speed = 0.3 * math.cos(error) if abs(error) < _TURN_FIRST and not self._blocked(x, y, yaw) else 0.0
         speed = -0.1 if now < self._backs else speed

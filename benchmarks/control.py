@@ -1,0 +1,107 @@
+"""What it costs to drive: RobotGoto's control step and the localiser's update, as shares of the time they have.
+
+The simulated R1 drives through the apartment in lock-step, so that both see what they see on a robot. The peer is the
+period: RobotGoto's step comes every 10 ms (upstream's period), with the scan taken up at 10 Hz; the localiser's update
+(1,000 particles, 360 beams) at most once for each scan, 100 ms. All on one core, by the clock.
+
+    python benchmarks/control.py [--json FILE] [--seconds 60]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+if not __package__:  # run as a file
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.localiser import Tour, simulated
+from benchmarks.rows import Row, add_json_option, report
+from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.scan import scan_points
+from navigation.localization_server.settings import Settings
+from navigation.pose import Pose
+from navigation.robot_goto.driver import Driver
+
+STEP, TURN = 10.0, 100.0
+"""Periods: of RobotGoto's step and of the laser, ms."""
+
+_SHARES = (50, 99, 100)
+
+
+class Clock:
+    """What calls take.
+
+    Attributes:
+        milliseconds: of each call.
+    """
+
+    def __init__(self) -> None:
+        self.milliseconds: list[float] = []
+
+    def __call__(self, call: Callable[[], Any]) -> Any:
+        """Call, and write down what it took."""
+        begun = time.perf_counter()
+        result = call()
+        self.milliseconds.append((time.perf_counter() - begun) * 1e3)
+        return result
+
+    def rows(self, case: str, period: float) -> Iterator[Row]:
+        """The shares of a period."""
+        for share in _SHARES:
+            yield Row(f"{case}, {share} %", float(np.percentile(self.milliseconds, share)), period, "ms")
+
+
+def measure(seconds: float) -> list[Row]:
+    """Drive, and look at the clock."""
+    tour = Tour(simulated("apartment", 0), 0)
+    there = tour.there
+    # an update for each scan, so that it is the update that is measured
+    localizer = Localizer(tour.grid, Settings(particles=1000, beams=360, update_distance=1e-9, update_angle=1e-9))
+    localizer.initial(Pose(*there.base.pose()))
+    driver = Driver()
+    steps, scans, updates = Clock(), Clock(), Clock()
+    last = -1
+    for tick in range(round(seconds * 100)):
+        if tick % 10 == 0:
+            tour.steer()
+        there.tick()
+        odometry = Pose(*there.estimate.pose, stamp_ns=there.time_ns)
+        localizer.odometry(odometry)
+        if there.scan.time_ns != last:
+            last = there.scan.time_ns
+            scans(lambda: driver.scan(there.scan, odometry))  # noqa: B023 - called at once
+            points = scan_points(there.scan)
+            before = localizer.updates
+            updates(lambda: localizer.scan(last, points))  # noqa: B023 - called at once
+            if localizer.updates == before:
+                updates.milliseconds.pop()
+        pose = localizer.pose
+        assert pose is not None
+        if tour.ahead and driver.status.state.ended:
+            driver.goal(Pose(*tour.ahead[-1], 0.0))
+        steps(lambda: driver.step(there.time_ns / 1e9, pose, odometry))  # noqa: B023 - called at once
+    return [
+        *steps.rows("RobotGoto: a step", STEP),
+        *scans.rows("RobotGoto: a scan", TURN),
+        *updates.rows("localiser: an update", TURN),
+    ]
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_json_option(parser)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the drive")
+    options = parser.parse_args()
+    report(measure(options.seconds), options.json)
+
+
+if __name__ == "__main__":
+    main()
