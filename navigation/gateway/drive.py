@@ -90,6 +90,7 @@ class Drive:
         name: of the place, where it was given one.
         at: which of the targets it is driving to.
         sent: the goal that the planner has now, or had last.
+        sent_at: when it was sent (monotonic).
         paused: whether it stands because it was told to.
         stopping: why it is being given up, "" where it is not.
         waiting_until: when it is given up because the planner is not there (monotonic), None while that is.
@@ -101,6 +102,7 @@ class Drive:
     name: str = ""
     at: int = 0
     sent: SentGoal | None = None
+    sent_at: float = 0.0
     paused: bool = False
     stopping: str = ""
     waiting_until: float | None = None

@@ -21,6 +21,9 @@ from navigation.status import Fault, State, status_message
 DOUBTFUL_SECONDS = 0.5
 """After an end that the planner gave no reason for, so long is looked whether it is there at all."""
 
+SETTLING_SECONDS = 5.0
+"""A rejection of a planner that came so lately is not believed: it is asked again."""
+
 CANCEL_SECONDS = 5.0
 """After so long without an answer to a cancellation the client is told that it ended."""
 
@@ -243,7 +246,7 @@ class Gateway:
         if not self.link.ready:
             self._wait(drive)
             return
-        drive.waiting_until = None
+        drive.waiting_until, drive.sent_at = None, time.monotonic()
         goal = drive.target.goal(self.planner, self.robot())
         drive.sent = self.link.send(
             goal,
@@ -274,7 +277,7 @@ class Gateway:
         drive = self.drive
         if drive is not None and drive.waiting_until is not None and not drive.paused:
             self._send(drive, None)
-        self.link.cancel_orphans()
+        self.link.look()
         self._settle()
         self._changed()
 
@@ -307,8 +310,11 @@ class Gateway:
         """The planner gave no reason: it may be gone, or speak a protocol without reasons."""
         if self.drive is not drive or drive.sent is not sent or drive.paused or drive.stopping:
             return
+        lost = self.link.lost_at
         if not self.link.ready:
             self._wait(drive)
+        elif lost > drive.sent_at or (sent.accepted is False and time.monotonic() < lost + SETTLING_SECONDS):
+            self._send(drive, None)  # it is back already, or its bridge was about to lose it
         elif sent.accepted is False:
             self._finish(drive, Status.ABORTED, Fault.BAD_GOAL, f"{self.planner} rejected the goal")
         else:

@@ -31,6 +31,11 @@ class Link:
         section: says where the planner is.
         planner: which one.
         changed: called when the planner told something new.
+
+    Attributes:
+        lost_at: when it was last seen not to be there (monotonic); before the first look it was not.
+        ended: a goal of others that ended last, and how.
+        path: what it told last, as are ``local_map`` and ``current_goal``.
     """
 
     def __init__(self, host: Host, section: NavigationSection, planner: str, changed: Callable[[], None]) -> None:
@@ -39,6 +44,7 @@ class Link:
         action = section.at(planner)
         self._client = ActionClient(host.node, action, NAVIGATE)
         self._mine: dict[bytes, SentGoal] = {}
+        self.lost_at = time.monotonic()
         self._orphans: dict[bytes, float] = {}
         self._listed: dict[bytes, Status] = {}
         self._own: Message | None = None
@@ -102,9 +108,10 @@ class Link:
         self._mine[sent.id] = sent
         return sent
 
-    def cancel_orphans(self) -> None:
-        """Have it give up goals from here that it still drives to after they ended here: the link was cut meanwhile."""
+    def look(self) -> None:
+        """Note whether it is there; have it give up goals that ended here while the link to it was cut."""
         if not self.ready:
+            self.lost_at = time.monotonic()
             self._orphans.clear()
             return
         now = time.monotonic()

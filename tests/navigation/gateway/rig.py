@@ -54,12 +54,16 @@ class Planner(Program):
     def __init__(self, settings: Any, name: str) -> None:
         super().__init__(settings)
         self.goals: list[Goal] = []
+        self.rejects = 0
         self.server = self.on(
             lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
         )
         self._told = self.node.publisher(f"/planner/{name}/status", STATUS, KEPT)
 
     def _take(self, goal: Goal) -> bool:
+        if self.rejects:
+            self.rejects -= 1
+            return False
         for before in self.goals:
             before.canceled({"error_msg": "another goal took its place"})
         self.goals.append(goal)

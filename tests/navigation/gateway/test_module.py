@@ -153,6 +153,17 @@ def test_a_planner_that_stays_away_ends_the_goal_with_the_reason(rig: Rig) -> No
         rig.planner = rig.have("robot_goto")
 
 
+def test_a_rejection_is_believed_of_a_planner_that_has_been_there_for_a_while(rig: Rig) -> None:
+    rig.planner.rejects = 1
+    rig.gateway.link.lost_at = math.inf  # it came this moment: its bridge may be about to find it
+    asked = Asked(rig.client, pose(1.0))
+    rig.planner.reach(rig.planner.until(1))
+    assert asked.end() == ("SUCCEEDED", "")
+    rig.planner.rejects = 1
+    rig.gateway.link.lost_at = 0.0
+    assert Asked(rig.client, pose(1.0)).end() == ("ABORTED", "robot_goto rejected the goal")
+
+
 def test_what_drives_on_behind_a_cut_link_is_stopped_when_the_link_is_back(rig: Rig) -> None:
     rig.planners.pop("robot_goto").close()
     with FaultProxy(rig.hubs.port) as link:
