@@ -14,8 +14,9 @@ from bridge.hub.qos import Qos
 from bridge.modules.host import Host
 from bridge.tf.errors import TransformError
 from navigation.frames import Frames, FramesError, flat
-from navigation.localization_server.estimate import Estimate, Floats, unknown
+from navigation.localization_server.estimate import Estimate, Floats, Status, unknown
 from navigation.localization_server.localizer import Localizer
+from navigation.localization_server.memory import Memory
 from navigation.localization_server.messages import SCAN, stamp_ns
 from navigation.localization_server.scan import scan_points
 from navigation.localization_server.settings import Settings
@@ -56,7 +57,8 @@ class Own(Source):
         self._localizer: Localizer | None = None
         self._trouble = "no map is there yet"
         self._start = None if section.initial_pose is None else _pose(section.initial_pose)
-        self._resting = False
+        self._memory, self._map, self._log = Memory(host.folder), "", host.log
+        self._resting = self._unkept = False
         self._scans = self._left_out = 0
         self._laser = ""
         host.node.subscription(section.scan, SCAN, self._scan, Qos(depth=2))
@@ -71,7 +73,9 @@ class Own(Source):
         status, reason = localizer.check(self._now_ns())
         if "laser" in reason and self._laser:
             reason = f"{reason}: {self._laser}"
-        return Estimate(found.pose, found.covariance, found.quality, status, reason)
+        found = Estimate(found.pose, found.covariance, found.quality, status, reason)
+        self._keep(found)
+        return found
 
     def _heed_odometry(self, localizer: Localizer) -> None:
         try:
@@ -102,14 +106,35 @@ class Own(Source):
 
     def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:
         """Hold scans against another map, from where the robot is now unless somebody said."""
-        start = start or (self._localizer.pose if self._localizer else None) or self._start
+        self._map = grid.name
+        start = start or (self._localizer.pose if self._localizer else None) or self._first()
         try:
             self._localizer = Localizer(grid, self._settings)
         except ValueError as err:
-            self._localizer, self._trouble, self._start = None, str(err), start
+            self._localizer, self._trouble = None, str(err)
             return
         if start is not None:
             self.initial(start, None)
+
+    def _first(self) -> Pose | None:
+        """Where to begin, of what is known: where the robot was in this run, what the section says, where it was."""
+        memory, name = self._memory, self._map
+        return memory.recall(name, of_this_run=True) or self._start or memory.recall(name, of_this_run=False)
+
+    def _keep(self, found: Estimate, *, now: bool = False) -> None:
+        """Keep where the robot is."""
+        if found.pose is None or found.status is not Status.OK:
+            return
+        try:
+            self._memory.keep(self._map, found.pose, now=now)
+        except OSError as err:
+            if not self._unkept:
+                self._log.warning("the pose cannot be kept over restarts: %s", err)
+            self._unkept = True
+
+    def close(self) -> None:
+        """Keep where the robot is for the next start."""
+        self._keep(self.estimate(), now=True)
 
     def rest(self, *, on: bool) -> None:
         """Take up no scans, or again."""

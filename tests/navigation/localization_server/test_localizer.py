@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from benchmarks.localiser import DEGREES, METRES, Tour, drive, simulated
 from bridge.config.sections.sim import LaserSection, SimSection
 from navigation.localization_server.localizer import Localizer, Status
+from navigation.localization_server.memory import Memory
 from navigation.localization_server.scan import scan_points
 from navigation.localization_server.settings import Settings
 from navigation.pose import Pose, wrapped
@@ -174,3 +176,20 @@ def test_a_holonomic_base_goes_sideways() -> None:
     assert pose is not None
     assert pose.distance(Pose(*sim.base.pose())) < METRES
     assert localizer.updates > 3
+
+
+def test_a_pose_is_remembered_over_restarts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory = Memory(tmp_path)
+    assert memory.recall("lab", of_this_run=False) is None
+    memory.keep("lab", Pose(1.0, 2.0, 0.5, 7))
+    memory.keep("lab", Pose(3.0, 2.0, 0.5))  # too soon after
+    assert memory.recall("lab", of_this_run=True) == Pose(1.0, 2.0, 0.5)
+    memory.keep("lab", Pose(3.0, 2.0, 0.5), now=True)
+    again = Memory(tmp_path)
+    assert again.recall("lab", of_this_run=True) == Pose(3.0, 2.0, 0.5)
+    assert again.recall("hall", of_this_run=False) is None
+    monkeypatch.setattr("os.getppid", lambda: -1)
+    assert again.recall("lab", of_this_run=True) is None
+    assert again.recall("lab", of_this_run=False) == Pose(3.0, 2.0, 0.5)
+    (tmp_path / "pose.json").write_text('{"map": "lab", "pose": [1, 2')
+    assert again.recall("lab", of_this_run=False) is None

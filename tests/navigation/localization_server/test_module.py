@@ -133,6 +133,17 @@ def test_our_own_localiser_for_all_sides(place: Place, robot: Robot) -> None:
     until(says(place, "error", "is it frozen, or was the robot carried?"), "a robot that is lost says so", 20)
 
 
+def test_it_goes_on_where_it_was(place: Place, robot: Robot) -> None:
+    true = robot.pose
+    wrong = {"initial_pose": [3.0, 3.0, 0.0]}
+    started(place, robot, initial_pose=[*true[:2], math.degrees(true.theta)])
+    until(says(place, OK), "it is localised", 20)
+    place.worker.stop()
+    robot.silent = {"scan"}  # so that it is the memory that knows
+    place.worker.start(place.config(modules={"localization_server": {"enabled": True, **wrong}}, store={}))
+    until(near(place, true), "it begins where it was, whatever the section says", 20)
+
+
 def test_its_yarp_ports(place: Place, robot: Robot) -> None:
     started(place, robot)
     true = robot.pose
