@@ -60,7 +60,6 @@ class Gateway:
         self._pause: Timer | None = None
         self.link = Link(host, section, self.planner, self._changed)
         host.loop.every(_LOOK_SECONDS, self._look)
-        self._changed()
 
     # -- what clients ask for ------------------------------------------------------------------------------------------
 

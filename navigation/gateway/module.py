@@ -11,7 +11,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
 from navigation.frames import Frames
-from navigation.gateway.device import Device
+from navigation.gateway.device import WHO, Device
 from navigation.gateway.drive import TargetError, target_of
 from navigation.gateway.gateway import Gateway
 from navigation.gateway.link import KEPT, NAVIGATE, POSE
@@ -46,9 +46,10 @@ class GatewayModule(Module):
         host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
         host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
         Services(host.node, self.gateway, places)
-        answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
+        self._answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
         for door in section.doors.yarp:
-            host.yarp.serve(f"{door}/rpc", answers)
+            host.yarp.serve(f"{door}/rpc", self._answers)
+        self._tell(self.gateway.status())
         host.loop.every(_AGAIN_SECONDS, self._say)
 
     def reload(self, section: Section) -> bool:
@@ -70,6 +71,9 @@ class GatewayModule(Module):
     def _tell(self, status: dict[str, Any]) -> None:
         self._told.publish(status)
         self._state = status["state"]
+        drive = self.gateway.drive
+        if drive is not None and drive.who != WHO:
+            self._answers.target_name = drive.name
         if status["state"] == State.MOVING.value:
             self._commander.stop()
         self._say()

@@ -136,6 +136,7 @@ def test_another_clients_goal_is_seen_and_can_be_stopped(rig: Rig, yarp: INaviga
     rig.planner.until(1)
     rig.state(State.MOVING)
     assert yarp.get_absolute_location_of_current_target_RPC()[1].x == 4.0
+    assert yarp.get_name_of_current_target_RPC()[1] == ""
     assert yarp.stop_navigation_RPC()
     assert asked.end() == ("CANCELED", "it was stopped")
 
