@@ -24,7 +24,8 @@ Floats = NDArray[np.float64]
 SCALES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1, 0.05, 0.0)
 _UNKNOWN = 2.0
 _STEP = 0.05
-_CLOSER = 0.003
+_CLOSER = 1e-4
+"""Metres that count as no nearer; what is allowed in each step adds up."""
 
 
 def _slowed(

@@ -18,6 +18,7 @@ from navigation.pose import Pose, wrapped
 from navigation.robot_goto.command import STILL, Command, Status
 from navigation.robot_goto.local_grid import AT_BASE, LocalGrid, Scan
 from navigation.robot_goto.settings import Settings
+from navigation.robot_goto.stall import Stall
 from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
 from navigation.status import Fault, State
 
@@ -35,8 +36,9 @@ MAX_RETREAT = 2.0
 _CREEP_ROOM, _FAST_ROOM = 0.01, 0.05
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _JUMP = 0.3
-_BARELY = 0.1
-_LOOK, _ROUND, _LOOK_AGAIN = 0.5 * math.pi, 2.2 * math.pi, 0.3
+_DOES_NOT_FOLLOW = "the base does not follow its commands: an emergency stop, or odometry that is frozen?"
+_BARELY, _LEAST = 0.1, 0.002
+_LOOK, _LOOKS, _LOOK_AGAIN = 0.5 * math.pi, 2, 0.3
 
 
 @dataclass
@@ -88,6 +90,7 @@ class Driver:
         self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
         self._slowed, self._look_ahead = kernels()
         self._points = np.empty((0, 3))
+        self._stall = Stall()
         self._has, self._wanted, self._blocker = np.zeros(3), np.zeros(3), np.zeros(3)
         self._task: Task | None = None
         self._aim: Aim | None = None
@@ -105,6 +108,7 @@ class Driver:
         """Give the goal up, and all that was seen: time was set back."""
         self.cancel()
         self.grid.clear()
+        self._stall.clear()
         self._now = self._moved = None
 
     # goals
@@ -123,6 +127,8 @@ class Driver:
             raise ValueError(f"a goal is a place: x and y are numbers, not {pose.x} and {pose.y}")
         resting = self._task is None and self.command == STILL
         self._clear()
+        if resting:
+            self._stall.clear()
         self._task = Task(pose, constraints or Constraints())
         back_off = resting and self.settings.retreat
         self.status = Status(State.PREPARING if back_off else State.MOVING)
@@ -175,7 +181,9 @@ class Driver:
         self._aimed = None
         self._waiting_since = None
         self._seen_at = self._removed_at = -math.inf
-        self._looked = self._look_left = self._look_way = 0.0
+        self._length = 0.0
+        self._look_left = self._look_way = 0.0
+        self._looks = 0
         self._looked_at = None
 
     @property
@@ -223,6 +231,7 @@ class Driver:
             if self._moved is not None and self._moved.distance(moved) > _JUMP + 2.0 * passed:
                 self.grid.clear()
             self._moved = moved
+            self._stall.add(now, passed, self._has, moved)
         self.command = self._chosen(now, passed, pose, moved, why)
         return self.command
 
@@ -249,6 +258,9 @@ class Driver:
         if trouble is not None or pose is None or moved is None:
             reason, fault = trouble or (why, Fault.NOT_LOCALIZED)
             return STILL if coasting else self._wait(now, reason, fault)
+        if self._stall.waits(now) and not coasting:
+            self._waiting_since, self._removed_at = self._stall.since, now
+            return self._wait(now, _DOES_NOT_FOLLOW, Fault.BLOCKED)
         if coasting:
             self._coast -= passed
             return self._guarded(now, moved, self._last) if self._coast > 0.0 else STILL
@@ -351,6 +363,9 @@ class Driver:
         if settings.dynamic_distance:
             length *= min(1.0, float(np.hypot(self._has[0], self._has[1])) / max(settings.max_lin_speed, 1e-3))
         length = max(length, settings.min_detection_distance)
+        if self.status.state is State.WAITING:
+            length = max(length, self._length)  # what stopped it from afar is not gone because it stands
+        self._length = length
         radius = settings.robot_radius
         self._look_ahead(
             self.grid.points, self.grid.count, moved.x, moved.y, moved.theta, beta,
@@ -414,6 +429,8 @@ class Driver:
             settings.linear_acceleration, settings.angular_acceleration, settings.robot_radius,
             _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, self._blocker,
         )  # fmt: skip
+        if wanted.speed * scale < _LEAST:
+            scale = 0.0
         slowed = Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
         unseen = scale <= _BARELY and wanted.speed and self._blocker[2] == UNKNOWN
         if (unseen or self._look_left > 0.0) and self._task is not None and self._retreat <= 0.0:
@@ -421,17 +438,16 @@ class Driver:
         return slowed
 
     def _look(self, now: float, moved: Pose, slowed: Command) -> Command:
-        """Turn on the spot for the laser to see where the way leads; round once, and then creep where it can."""
+        """Turn on the spot for the laser to see where the way leads, to two sides; then creep where it can."""
         if self._looked_at is None or self._looked_at.distance(moved) > _LOOK_AGAIN:
-            self._looked, self._looked_at = 0.0, moved
+            self._looks, self._looked_at = 0, moved
         if self._look_left <= 0.0:
-            if self._looked > _ROUND:
+            if self._looks >= _LOOKS:
                 unseen = "the laser cannot see where the way leads"
                 return slowed if slowed.speed else self._wait(now, unseen, Fault.BLOCKED)
             bearing = math.atan2(self._blocker[1] - moved.y, self._blocker[0] - moved.x) - moved.theta
-            self._look_way = self._look_way if self._looked else math.copysign(1.0, wrapped(bearing))
+            self._look_way = math.copysign(1.0, wrapped(bearing))
             self._look_left = _LOOK
-        turned = abs(self._has[2]) * self._passed
-        self._look_left -= turned
-        self._looked += turned
+            self._looks += 1
+        self._look_left -= abs(self._has[2]) * self._passed
         return Command(omega=self._look_way * self.settings.max_ang_speed)

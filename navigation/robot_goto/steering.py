@@ -165,7 +165,7 @@ def drive(
         share *= 1.0 - beside(settings, aside)
     gain = limits.max_lin if through else limits.lin_gain * distance
     braking = math.inf if through else math.sqrt(settings.linear_acceleration * distance)
-    speed = limits.speed(min(gain, braking) * share * ramp) if share else 0.0
+    speed = max(limits.speed(min(gain, braking)) * share * ramp, limits.min_lin) if share else 0.0
     turn = limits.turn(limits.ang_gain * beta) if abs(beta) > 1e-3 else 0.0
     if settings.holonomic:
         return Command(speed * math.cos(beta), speed * math.sin(beta), turn)

@@ -1,0 +1,113 @@
+"""The driver and a simulated robot, in one thread and one clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bridge.config.sections.sim import LaserSection, SimSection
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_goto.command import Command
+from navigation.robot_goto.driver import Driver
+from navigation.robot_goto.settings import Settings
+from navigation.status import State
+from sim.base import Twist
+from sim.simulation import Simulation
+
+RADIUS = {"r1": 0.3, "ikart_v1": 0.4}
+
+
+class Scene:
+    """A robot in a simulated place, which the driver drives.
+
+    Attributes:
+        driver: the driver.
+        sim: the simulation.
+        touched: how often the robot touched something.
+        states: the states that the driver was in, in turn, with their reasons.
+        commands: all commands, with the time.
+        edit: changes a scan's ranges before the driver gets it; None where it gets none.
+        known: whether the driver is told where the robot is.
+    """
+
+    def __init__(self, plan: str = "hall", robot: str = "r1", *, laser: str = "ideal", **settings: Any) -> None:
+        section = SimSection(plan=plan, robot=robot, laser=LaserSection(kind=laser, noise=0.01))
+        self.sim = Simulation(section)
+        holonomic = robot != "r1"
+        self.driver = Driver(Settings(holonomic=holonomic, robot_radius=RADIUS[robot], **settings))
+        self.touched = 0
+        self.states: list[tuple[State, str]] = []
+        self.commands: list[tuple[float, Command]] = []
+        self.edit: Callable[[np.ndarray], np.ndarray | None] = lambda ranges: ranges
+        self.known = True
+        self._scanned = -1
+        self._moved = Pose(0.0, 0.0, 0.0)
+        self._fault = ""
+
+    @property
+    def now(self) -> float:
+        return self.sim.time_ns / 1e9
+
+    @property
+    def pose(self) -> Pose:
+        return Pose(*self.sim.base.pose())
+
+    @property
+    def speed(self) -> float:
+        twist = self.sim.base.twist()
+        return math.hypot(twist.x, twist.y)
+
+    @property
+    def reasons(self) -> str:
+        return "; ".join(reason for _, reason in self.states)
+
+    def tick(self) -> None:
+        """10 ms."""
+        sim, pose = self.sim, self.pose
+        # the odometry began elsewhere, turned
+        if self._fault == "slipping wheels":
+            command = self.driver.command
+            self._moved = self._moved @ Pose(command.vx * 0.01, command.vy * 0.01, command.omega * 0.01)
+        elif self._fault != "frozen odometry":
+            self._moved = Pose(3.0, -2.0, 0.7) @ pose
+        moved = self._moved
+        if sim.scan.time_ns != self._scanned:
+            self._scanned = sim.scan.time_ns
+            ranges = self.edit(sim.scan.ranges.copy())
+            if ranges is not None:
+                scan = type(sim.scan)(**{**vars(sim.scan), "ranges": ranges})
+                self.driver.scan(scan, moved)
+        command = self.driver.step(self.now, pose if self.known else None, moved, "" if self.known else "nobody says")
+        self.commands.append((self.now, command))
+        status = self.driver.status
+        if not self.states or (status.state, status.reason) != self.states[-1]:
+            self.states.append((status.state, status.reason))
+        sim.command(Twist(*command))
+        sim.tick()
+        self.touched += len(sim.bumps)
+
+    def fail(self, fault: str) -> None:
+        """``emergency stop``, ``slipping wheels`` or ``frozen odometry``; nothing fails any more with none."""
+        self.sim.stop(on=fault in ("emergency stop", "slipping wheels"))
+        self._fault = fault
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self.tick()
+
+    def until(self, done: Callable[[], bool], seconds: float) -> None:
+        """Go on until something is so; at most so long."""
+        end = self.now + seconds
+        while not done():
+            assert self.now < end, f"not in {seconds} s: {self.pose}, {self.driver.status}"
+            self.tick()
+
+    def goto(self, x: float, y: float, degrees: float = math.nan, seconds: float = 60.0, **asked: Any) -> State:
+        """Drive there; the state in which that ends."""
+        self.driver.goal(Pose(x, y, math.radians(degrees)), Constraints(**asked))
+        self.until(lambda: self.driver.status.ended, seconds)
+        return self.driver.status.state

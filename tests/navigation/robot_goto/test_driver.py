@@ -1,0 +1,332 @@
+"""The driver drives a simulated robot, and touches nothing."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from navigation.constraints import Constraints
+from navigation.pose import Pose
+from navigation.robot_goto.driver import MAX_RETREAT
+from navigation.status import Fault, State
+from sim.plan import Box, Person
+from tests.navigation.robot_goto.scene import Scene
+
+
+def box(x, y, length=0.4, width=0.4, degrees=0.0):
+    return Box(at=(x, y, degrees), size=(length, width, 1.0))
+
+
+# goals
+
+
+@pytest.mark.parametrize("robot", ["r1", "ikart_v1"])
+@pytest.mark.parametrize(
+    ("plan", "x", "y"), [("lab", 2.57, 1.19), ("lab", 3.35, 3.17), ("apartment", 4.4, 8.2)], ids=str
+)
+def test_goals_are_reached_without_a_touch(plan, x, y, robot):
+    scene = Scene(plan, robot)
+    assert scene.goto(x, y, 30.0) is State.REACHED
+    assert scene.pose.distance(Pose(x, y, 0.0)) < 0.08
+    assert abs(math.remainder(scene.pose.theta - math.radians(30.0), math.tau)) < math.radians(3.0)
+    assert not scene.touched
+    assert max(c.speed for _, c in scene.commands) <= 0.3 + 1e-9
+    assert scene.driver.status.fault is Fault.NONE
+
+
+def test_with_the_robots_own_lasers_it_looks_before_it_drives():
+    scene = Scene("lab", laser="robot")
+    assert scene.goto(2.57, 1.19) is State.REACHED
+    assert not scene.touched
+    turned = [c for _, c in scene.commands[:100] if c.omega and not c.speed]
+    assert turned, "its sides are blind: it looked there at first"
+
+
+def test_any_heading_and_a_tolerance_of_its_own():
+    scene = Scene()
+    assert scene.goto(1.0, 0.2, 90.0, heading=False, tolerance_lin=0.3) is State.REACHED
+    assert 0.2 < scene.pose.distance(Pose(1.0, 0.2, 0.0)) < 0.31
+    assert scene.pose.theta < 0.5
+
+
+def test_a_waypoint_is_passed_without_a_stop_and_a_new_goal_needs_none():
+    scene = Scene()
+    scene.driver.goal(Pose(1.0, 0.0, math.nan), Constraints(through=True, tolerance_lin=0.1))
+    scene.until(lambda: scene.driver.status.state is State.REACHED, 20)
+    scene.run(0.1)  # the next goal comes late
+    assert scene.speed > 0.25
+    scene.driver.goal(Pose(2.0, 0.1, math.nan))
+    scene.run(0.5)
+    assert scene.speed > 0.25
+    scene.until(lambda: scene.driver.status.ended, 20)
+    scene.run(0.5)
+    assert scene.speed < 0.01
+    assert scene.driver.silent
+
+
+def test_behind_a_waypoint_it_stops_where_no_goal_comes():
+    scene = Scene()
+    assert scene.goto(1.0, 0.0, through=True, tolerance_lin=0.1) is State.REACHED
+    scene.run(1.5)
+    assert scene.speed < 0.01
+    assert scene.pose.x < 1.3
+
+
+def test_the_constraints_of_a_goal_hold_and_none_is_faster_than_the_robot():
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan), Constraints(max_lin_speed=0.1))
+    scene.run(3.0)
+    assert scene.speed == pytest.approx(0.1, abs=0.01)
+    scene.driver.goal(Pose(3.0, 0.0, math.nan), Constraints(max_lin_speed=9.0))
+    scene.run(3.0)
+    assert scene.speed == pytest.approx(0.3, abs=0.01)
+
+
+# obstacles
+
+
+def test_it_goes_round_a_box_and_out_of_a_dead_end():
+    scene = Scene()
+    for at in (box(1.6, 0.0, 0.2, 1.6), box(1.1, 0.7, 1.0, 0.2), box(1.1, -0.7, 1.0, 0.2)):  # open towards the robot
+        scene.sim.world.spawn(at, f"wall {at.at}")
+    assert scene.goto(2.4, 0.0, seconds=90) is State.REACHED
+    assert not scene.touched
+
+
+@pytest.mark.parametrize("robot", ["r1", "ikart_v1"])
+def test_somebody_who_crosses_is_waited_for_or_gone_round(robot):
+    scene = Scene(robot=robot)
+    scene.sim.world.spawn(Person(name="eve", at=(1.6, -3.4), path=((1.6, 6.0),), speed=0.8, loop=False), "eve")
+    assert scene.goto(3.5, 0.0) is State.REACHED
+    assert not scene.touched
+    assert State.WAITING in [state for state, _ in scene.states]
+    assert "somebody" in scene.reasons
+
+
+def test_it_waits_where_it_is_told_to_and_goes_on_slowly():
+    scene = Scene()
+    scene.sim.world.spawn(box(1.5, 0.0), "box")
+    scene.driver.goal(Pose(3.0, 0.0, math.nan), Constraints(on_obstacle="wait"))
+    scene.until(lambda: scene.driver.status.state is State.WAITING, 20)
+    scene.run(3.0)
+    assert scene.driver.status == (State.WAITING, "there is an obstacle on the way", Fault.BLOCKED)
+    assert list(scene.driver.spoken) == ["Obstacles detected"]
+    assert scene.speed < 0.01
+    scene.sim.world.remove("box")
+    scene.until(lambda: scene.driver.status.state is State.MOVING, 5)
+    assert scene.driver.spoken[-1] == "Obstacles removed, thank you"
+    begun = scene.now
+    scene.until(lambda: scene.commands[-1][1].speed >= 0.29, 5)
+    assert scene.now - begun > 1.0, "it comes up to speed in two seconds"
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+    assert not scene.touched
+
+
+def test_after_too_long_a_wait_it_fails_and_says_why():
+    scene = Scene(max_waiting_time=2.0)
+    scene.sim.world.spawn(box(1.5, 0.0), "box")
+    assert scene.goto(3.0, 0.0, on_obstacle="wait") is State.FAILING
+    assert scene.driver.status.fault is Fault.BLOCKED
+    assert "an obstacle" in scene.driver.status.reason
+    assert "waited 2 s" in scene.driver.status.reason
+
+
+@pytest.mark.parametrize("on_deadlock", ["abort", "pause"])
+def test_without_progress_it_is_a_deadlock(on_deadlock):
+    scene = Scene(deadlock_time=3.0, on_deadlock=on_deadlock)
+    scene.fail("slipping wheels")
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
+    scene.run(3.5)
+    state, reason, _ = scene.driver.status
+    assert "deadlock: no progress for 3 s" in reason
+    assert state is (State.ABORTED if on_deadlock == "abort" else State.PAUSED)
+    scene.sim.stop(on=False)
+    if on_deadlock == "pause":
+        assert scene.driver.resume()
+        scene.until(lambda: scene.driver.status.ended, 30)
+        assert scene.driver.status.state is State.REACHED
+
+
+# what it does not see
+
+
+def test_a_silent_laser_stops_it_and_it_goes_on():
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(3.0)
+    scene.edit = lambda _ranges: None
+    at = scene.pose
+    scene.run(2.0)
+    assert scene.speed < 0.01
+    assert scene.pose.distance(at) < 0.35, "half a second, and the way to brake"
+    state, reason, fault = scene.driver.status
+    assert (state, fault) == (State.WAITING, Fault.NO_LASER)
+    assert "the laser is silent" in reason
+    scene.edit = lambda ranges: ranges
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+
+
+@pytest.mark.parametrize("fault", ["emergency stop", "frozen odometry"])
+def test_a_base_that_does_not_follow_is_waited_for_and_tried_again(fault):
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(3.0)
+    scene.fail(fault)
+    begun = scene.pose
+    scene.run(2.0)
+    assert scene.driver.status.state is State.WAITING
+    assert "does not follow" in scene.driver.status.reason
+    assert scene.speed < 0.01
+    assert scene.pose.distance(begun) < 0.55, "twice 0.2 m at most, and the way to brake"
+    at = scene.pose
+    scene.run(6.0)
+    assert scene.pose.distance(at) < 0.25, "short tries, two seconds apart"
+    scene.fail("")
+    scene.until(lambda: scene.driver.status.ended, 40)
+    assert scene.driver.status.state is State.REACHED
+
+
+def test_a_base_that_never_follows_ends_the_goal():
+    scene = Scene(max_waiting_time=6.0)
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(2.0)
+    scene.fail("emergency stop")
+    scene.until(lambda: scene.driver.status.ended, 20)
+    assert scene.driver.status.state is State.FAILING
+    assert "does not follow" in scene.driver.status.reason
+
+
+def test_lost_it_stops_at_once_and_goes_on():
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(3.0)
+    scene.known = False
+    scene.tick()
+    assert scene.commands[-1][1] == (0.0, 0.0, 0.0)
+    assert scene.driver.status == (
+        State.WAITING,
+        "where the robot is is not known: nobody says",
+        Fault.NOT_LOCALIZED,
+    )
+    scene.known = True
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+
+
+def test_what_the_laser_says_nothing_of_is_not_free():
+    scene = Scene()
+    scene.edit = lambda ranges: np.full_like(ranges, np.nan)
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
+    scene.run(20.0)
+    assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02
+    assert "cannot see" in scene.reasons
+    scene.edit = lambda ranges: np.full_like(ranges, np.inf)  # nothing for as far as it sees is free
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+
+
+def test_no_step_to_a_side_that_it_never_saw():
+    scene = Scene(robot="ikart_v1")
+    angles = np.degrees(-math.pi + np.arange(720) * math.tau / 720)
+    left = (angles > 45.0) & (angles < 135.0)
+    scene.edit = lambda ranges: np.where(left, np.nan, ranges)
+    scene.driver.approach(math.pi / 2, 0.2, 2.0)
+    scene.run(2.0)
+    assert abs(scene.pose.y) < 0.05
+    scene.edit = lambda ranges: ranges
+    scene.driver.approach(math.pi / 2, 0.2, 2.0)
+    scene.run(2.5)
+    assert scene.pose.y > 0.2
+
+
+def test_what_was_seen_is_remembered_beside_it():
+    """A box that it drove up to is in a blind sector when it is to go to that side."""
+    scene = Scene(robot="ikart_v1")
+    scene.sim.world.spawn(box(0.0, 0.9), "box")
+    angles = np.degrees(-math.pi + np.arange(720) * math.tau / 720)
+    left = (angles > 30.0) & (angles < 150.0)
+    scene.run(0.5)
+    scene.edit = lambda ranges: np.where(left, np.nan, ranges)
+    scene.driver.approach(math.pi / 2, 0.3, 6.0)
+    scene.run(6.0)
+    assert not scene.touched
+    assert 0.1 < scene.pose.y < 0.9 - 0.2 - 0.4, "up to the box, by what it saw before"
+
+
+# moves without a goal
+
+
+def test_an_approach_ends_before_the_wall_and_backwards_in_two_seconds():
+    scene = Scene()
+    scene.sim.world.spawn(box(1.5, 0.0), "box")
+    scene.driver.approach(0.0, 0.3, 10.0)
+    scene.run(10.5)
+    assert scene.driver.status.state is State.IDLE
+    assert not scene.touched
+    assert 1.3 - 0.3 - 0.1 < scene.pose.x < 1.3 - 0.3
+    at = scene.pose.x
+    scene.driver.approach(math.pi, 0.2, 10.0)
+    scene.run(4.0)
+    assert 0.2 < at - scene.pose.x < 0.2 * MAX_RETREAT + 0.05
+
+
+def test_a_retreat_is_short_and_touches_nothing():
+    scene = Scene(retreat=True, retreat_duration=2.0)
+    scene.sim.world.spawn(box(-0.7, 0.0), "box")
+    scene.run(0.3)
+    scene.driver.goal(Pose(1.0, 0.0, math.nan))
+    scene.run(1.5)
+    assert scene.states[-1][0] is State.PREPARING
+    assert -0.2 - 0.01 < scene.pose.x < -0.05
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+    assert not scene.touched
+    assert min(c.vx for _, c in scene.commands) >= -0.2
+    backwards = [now for now, c in scene.commands if c.vx < 0.0]
+    assert backwards[-1] - backwards[0] <= MAX_RETREAT
+
+
+# pause, and what else is asked
+
+
+def test_pause_and_resume():
+    scene = Scene()
+    assert not scene.driver.pause(1.0), "there is nothing to pause"
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
+    scene.run(2.0)
+    assert scene.driver.pause(1.0)
+    scene.run(0.9)
+    assert scene.driver.status.state is State.PAUSED
+    assert scene.commands[-1][1].speed == 0.0
+    scene.run(0.3)
+    assert scene.driver.status.state is State.MOVING, "the time is over"
+    scene.driver.pause()
+    scene.run(30.0)
+    assert scene.driver.status.state is State.PAUSED
+    assert scene.driver.resume()
+    scene.until(lambda: scene.driver.status.ended, 30)
+    assert scene.driver.status.state is State.REACHED
+
+
+def test_cancelled_it_stands_and_a_goal_that_is_no_place_is_refused():
+    scene = Scene()
+    scene.driver.goal(Pose(2.0, 0.0, math.nan))
+    scene.run(2.0)
+    scene.driver.cancel()
+    scene.tick()
+    assert scene.commands[-1][1] == (0.0, 0.0, 0.0)
+    assert scene.driver.silent
+    with pytest.raises(ValueError, match="place"):
+        scene.driver.goal(Pose(math.nan, 0.0, 0.0))
+
+
+def test_settings_can_change_on_the_way():
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(2.0)
+    scene.driver.settings = replace(scene.driver.settings, max_lin_speed=0.15)
+    scene.run(2.0)
+    assert scene.speed == pytest.approx(0.15, abs=0.01)
