@@ -70,11 +70,11 @@ class LikelihoodField:
         _score()(table, worst, 1.0 / self.resolution, np.ascontiguousarray(poses), np.ascontiguousarray(points), out)
         return out
 
-    def agreement(self, pose: tuple[float, float, float], points: Floats, within: float) -> float:
-        """How well the map explains a scan at a pose: -1 to 1.
+    def agreement(self, pose: tuple[float, float, float], points: Floats, within: float) -> tuple[float, float]:
+        """How well the map explains a scan at a pose: the share of beams that speak for it, and of those against it.
 
-        It is the share of beams that end at a wall, less the share of those that speak against the pose since they went
-        through a wall. The others, which ended before a wall, may have met what the map does not have.
+        For it speak those that end at a wall, against it those that went through one. The others, which ended before a
+        wall, may have met what the map does not have.
 
         Args:
             pose: x, y, theta: metres, radians.
@@ -84,7 +84,7 @@ class LikelihoodField:
         counts = np.zeros(2, np.int64)
         scale = 1.0 / self.resolution
         _judged()(self.distances, scale, *pose, np.ascontiguousarray(points), within, _THROUGH, counts)
-        return float(counts[0] - counts[1]) / len(points)
+        return float(counts[0]) / len(points), float(counts[1]) / len(points)
 
 
 def _surface(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:

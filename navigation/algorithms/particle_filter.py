@@ -88,7 +88,8 @@ def drive(
 def weighed(weights: Floats, logs: Floats) -> Floats:
     """Weights after a measurement with these logarithms of likelihoods; their sum is 1."""
     found: Floats = weights * np.exp(logs - logs.max())
-    return found / found.sum()
+    found /= found.sum()
+    return found
 
 
 def effective(weights: Floats) -> float:

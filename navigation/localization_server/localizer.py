@@ -16,6 +16,7 @@ from navigation.algorithms import particle_filter
 from navigation.algorithms.likelihood_field import LikelihoodField
 from navigation.algorithms.pose_search import PoseSearch, Window
 from navigation.localization_server.estimate import Estimate, Status
+from navigation.localization_server.judge import Judge
 from navigation.localization_server.odometry import Track
 from navigation.localization_server.scan import thinned
 from navigation.localization_server.settings import Settings
@@ -35,11 +36,7 @@ _FORCED = 5
 """Updates after a start, whether the base moves or not."""
 
 _JITTER = np.diag([0.02**2, 0.02**2, math.radians(1.0) ** 2])
-_MEMORY = 0.7
-"""Of the quality that was, from one scan to the next."""
-
 _PATIENCE = 4
-_STOOD = (0.01, math.radians(0.5))
 _NEVER = -(1 << 62)
 
 
@@ -69,19 +66,16 @@ class Localizer:
         self._search = PoseSearch(self._field, self._table)
         self._rng = np.random.default_rng(seed)
         self._track = Track()
+        self._judge = Judge(self.settings)
         self._particles = np.empty((0, 3))
         self._weights = np.empty(0)
         self._updated: Pose | None = None
         self._correction: Pose | None = None
         self._covariance = np.zeros((3, 3))
         self._forced = 0
-        self._anew = False
-        self._quality = 0.0
-        self._seen: Pose | None = None
         self._start = Pose(0.0, 0.0, 0.0)
         self._scan_ns = self._searched_ns = _NEVER
         self._fruitless = 0
-        self._status, self._reason = Status.NOT_YET, "no start was given"
         self.searches = 0
         self.updates = 0
 
@@ -122,10 +116,9 @@ class Localizer:
         self._updated = self._track.newest
         self._correction = None if self._updated is None else pose @ self._updated.inverse
         self._start = pose
-        self._forced, self._anew = _FORCED, True
-        self._seen = None
+        self._forced = _FORCED
+        self._judge.begin()
         self._searched_ns, self._fruitless = _NEVER, 0
-        self._status, self._reason = Status.NOT_YET, "a start was given, and no scan has been held against it yet"
 
     @property
     def correction(self) -> Pose | None:
@@ -144,7 +137,7 @@ class Localizer:
 
     def estimate(self) -> Estimate:
         """Where the robot is, and how sure that is."""
-        return Estimate(self.pose, self._covariance, self._quality, self._status, self._reason)
+        return Estimate(self.pose, self._covariance, self._judge.quality, self._judge.status, self._judge.reason)
 
     def cloud(self) -> Floats:
         """The particles on the map, (n, 3): metres, radians."""
@@ -162,7 +155,7 @@ class Localizer:
     def check(self, now_ns: int) -> tuple[Status, str]:
         """The status at a time, where scans or odometry may have fallen silent; and why it is not better."""
         if not len(self._particles):
-            return self._status, self._reason
+            return self._judge.status, self._judge.reason
         newest = self._track.newest
         for what, stamp, most in (
             ("odometry is", newest.stamp_ns if newest else _NEVER, self.settings.odometry_age),
@@ -171,8 +164,8 @@ class Localizer:
             age = (now_ns - stamp) / 1e9
             if age > most:
                 said = f"silent for {age:.1f} s" if stamp != _NEVER else "not heard"
-                return (Status.NOT_YET if self._status is Status.NOT_YET else Status.ERROR), f"{what} {said}"
-        return self._status, self._reason
+                return (Status.NOT_YET if self._judge.status is Status.NOT_YET else Status.ERROR), f"{what} {said}"
+        return self._judge.status, self._judge.reason
 
     def scan(self, stamp_ns: int, points: Floats, odometry: Pose | None = None) -> bool:
         """Take up a scan.
@@ -193,16 +186,21 @@ class Localizer:
             self._updated, self._correction = odometry, self._start @ odometry.inverse
         points = thinned(points, self.settings.beams)
         if len(points) < _FEWEST:
-            self._judge(0.0, odometry, "the laser sees nothing: all its beams are empty")
+            self._judge.take(0.0, 0.0, self._wide, odometry, "the laser sees nothing: all its beams are empty")
             return False
         ran = self._forced > 0 or self._far(odometry)
         if ran:
             self._update(odometry, points)
         here = self._corner.inverse @ self._correction @ odometry
-        share = self._explained(here[:3], points)
-        self._judge(share, odometry)
+        share, against = self._explained(here[:3], points)
+        self._judge.take(share, against, self._wide, odometry)
         self._look_around(stamp_ns, here, share, odometry, points)
         return ran
+
+    @property
+    def _wide(self) -> float:
+        """Metres over which the particles are spread: a standard deviation."""
+        return math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
 
     def _far(self, odometry: Pose) -> bool:
         """Whether the base has gone on far enough since the last update."""
@@ -244,54 +242,30 @@ class Localizer:
         found: Floats = turn @ covariance @ turn.T
         return found
 
-    def _explained(self, here: tuple[float, float, float], points: Floats) -> float:
-        """How well the map explains a scan."""
-        return max(0.0, self._field.agreement(here, points, self.settings.explained_within))
-
-    def _judge(self, share: float, odometry: Pose, why: str = "") -> None:
-        """Say whether the robot is localised."""
-        settings = self.settings
-        self._quality = share if self._anew else _MEMORY * self._quality + (1.0 - _MEMORY) * share
-        self._anew = False
-        if self._quality >= settings.good:
-            self._seen = odometry
-        wide = math.sqrt(max(self._covariance[0, 0], self._covariance[1, 1]))
-        if self._quality < settings.poor or (self._quality < settings.good and self._status is not Status.OK):
-            self._status = Status.ERROR
-            self._reason = why or self._why_lost(odometry)
-        elif wide > settings.widest:
-            self._status = Status.NOT_YET
-            self._reason = f"the robot may be anywhere within {wide:.1f} m (standard deviation) still"
-        else:
-            self._status, self._reason = Status.OK, ""
-
-    def _why_lost(self, odometry: Pose) -> str:
-        lost = f"lost: the map explains {self._quality:.0%} of the scan"
-        if self._seen is None:
-            return f"{lost}; was the start wrong, or is it another map?"
-        step = self._seen.inverse @ odometry
-        if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
-            return f"{lost} now, and odometry says that the base has not moved: is it frozen, or was the robot carried?"
-        return f"{lost} now"
+    def _explained(self, here: tuple[float, float, float], points: Floats) -> tuple[float, float]:
+        """How well the map explains a scan, and how much of that speaks against the pose."""
+        found, against = self._field.agreement(here, points, self.settings.explained_within)
+        return max(0.0, found - against), against
 
     def _look_around(self, stamp_ns: int, here: Pose, share: float, odometry: Pose, points: Floats) -> None:
         """Look for places that explain the scan better, and put particles there."""
         settings = self.settings
-        every = settings.search_every if self._quality >= settings.poor else settings.lost_search_every
+        judge, quality = self._judge, self._judge.quality
+        alarmed = quality < settings.poor or judge.refuted or judge.startled or judge.doubtful
+        every = settings.lost_search_every if alarmed else settings.search_every
         pause = every * min(_PATIENCE, 1 + self._fruitless // _PATIENCE)
-        if max(share, self._quality) >= settings.sure or (stamp_ns - self._searched_ns) / 1e9 < pause:
+        if max(share, quality) >= settings.sure or (stamp_ns - self._searched_ns) / 1e9 < pause:
             return
         self._searched_ns = stamp_ns
         self.searches += 1
-        lost = self._quality < settings.good
+        lost = quality < settings.good or judge.refuted or judge.doubtful
         wanted = max(share + settings.better * (1.0 if lost else 2.0), settings.good)
-        near = Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)
-        windows = [near]
-        if self._quality < settings.poor and self._fruitless >= 2:
+        windows = [Window(here.x, here.y, here.theta, settings.search_reach, settings.search_turn)]
+        if (judge.carried and (judge.refuted or judge.doubtful)) or (quality < settings.poor and self._fruitless >= 2):
             windows.append(Window(here.x, here.y, here.theta, settings.lost_reach, math.pi))
         for window in windows:
             poses, scores = self._search.best(points, window)
-            shares = np.array([self._explained((pose[0], pose[1], pose[2]), points) for pose in poses])
+            shares = np.array([self._explained((pose[0], pose[1], pose[2]), points)[0] for pose in poses])
             better = shares >= wanted
             if better.any():
                 self._fruitless = 0
@@ -322,5 +296,5 @@ class Localizer:
         self._particles = np.concatenate([particles, fresh])
         self._particles[:, 2] = particle_filter.wrapped(self._particles[:, 2])
         self._weights = np.full(len(self._particles), 1.0 / len(self._particles))
-        self._updated, self._forced, self._anew = odometry, _FORCED, True
-        self._status, self._reason = Status.ERROR, "the scan fits better elsewhere; the next ones decide"
+        self._updated, self._forced = odometry, _FORCED
+        self._judge.doubt()

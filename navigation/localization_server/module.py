@@ -19,7 +19,7 @@ from bridge.worker import Health
 from navigation.frames import Frames, FramesError
 from navigation.localization_server.by_frames import Amcl, ByFrames
 from navigation.localization_server.device import Device
-from navigation.localization_server.estimate import Estimate, Floats, Status
+from navigation.localization_server.estimate import Estimate, Floats, Status, unknown
 from navigation.localization_server.given import Port, Topic
 from navigation.localization_server.messages import POSE_COVARIANCE, plane_of, pose_of
 from navigation.localization_server.motion import Motion
@@ -234,7 +234,8 @@ class LocalizationServer(Module):
         }
 
     def stop(self) -> None:
-        """Hear no more."""
+        """Say that nobody knows any more, so that who drives by it stands at once; hear no more."""
+        self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
         for close in self._closing:
             close()
 

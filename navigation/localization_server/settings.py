@@ -25,6 +25,8 @@ class Settings:
         explained_within: metres from a wall within which the map explains a beam's end.
         good: share of beams explained, less those that speak against it, from which on the robot is localised.
         poor: share below which it is lost.
+        refuting: share of beams that go through walls from which on a scan speaks against the pose.
+        refuting_scans: so many such scans in a row and the robot is lost.
         sure: share from which on nobody looks for better places.
         better: how much larger another place's share must be.
         search_every: seconds between looks for better places, at least.
@@ -50,6 +52,8 @@ class Settings:
     explained_within: float = 0.15
     good: float = 0.6
     poor: float = 0.4
+    refuting: float = 0.15
+    refuting_scans: int = 3
     sure: float = 0.9
     better: float = 0.1
     search_every: float = 3.0

@@ -129,8 +129,12 @@ def test_our_own_localiser_for_all_sides(place: Place, robot: Robot) -> None:
     until(says(place, "error", "odometry is silent"), "silent odometry is told", 20)
     robot.silent = set()
     until(says(place, OK), "it goes on", 20)
+    told = len(place.far.wait(statuses, 1))
     robot.carry(6.6, 0.8, 1.5)
-    until(says(place, "error", "is it frozen, or was the robot carried?"), "a robot that is lost says so", 20)
+    until(lambda: {"data": "error"} in place.far.wait(statuses, 1)[told:], "a robot that is lost says so", 20)
+    until(near(place, robot.pose), "and is found again", 20)
+    place.worker.stop()
+    until(lambda: place.far.wait(statuses, 1)[-1] == {"data": "not_yet_localized"}, "its end is told", 20)
 
 
 def test_it_goes_on_where_it_was(place: Place, robot: Robot) -> None:

@@ -1,0 +1,128 @@
+"""Whether the robot is localised, by how well the map explains one scan after the other."""
+
+from __future__ import annotations
+
+import math
+
+from navigation.localization_server.estimate import Status
+from navigation.localization_server.settings import Settings
+from navigation.pose import Pose
+
+_MEMORY = 0.7
+"""Of the quality that was, from one scan to the next."""
+
+_HABIT = 0.95
+"""The same of what it usually is."""
+
+_DROP = 0.25
+"""How far below what it usually is a scan's fit tells that something has happened."""
+
+_PROVEN = 0.85
+"""Fit from which on a place that was found needs no second look."""
+
+_LOOKS = 50
+"""Scans that a place that fits less well is looked at, while better ones are looked for."""
+
+_STOOD = (0.01, math.radians(0.5))
+
+
+class Judge:
+    """Looks at each scan's fit.
+
+    Args:
+        settings: what is good and what is poor.
+
+    Attributes:
+        quality: share of the last scans that the map explains, less what speaks against the pose.
+        status: whether the robot is localised.
+        reason: why not.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self.quality = 0.0
+        self.status, self.reason = Status.NOT_YET, "no start was given"
+        self._begin()
+
+    def _begin(self) -> None:
+        self._anew = True
+        self._usual = 0.0
+        self._against = self._dropped = 0
+        self._looks = _LOOKS
+        self._seen: Pose | None = None
+
+    def begin(self) -> None:
+        """A start was given."""
+        self._begin()
+        self.status = Status.NOT_YET
+        self.reason = "a start was given, and no scan has been held against it yet"
+
+    def doubt(self) -> None:
+        """Places were found that fit better."""
+        self._anew, self._usual = True, 0.0
+        self._against = self._dropped = 0
+        self._looks = _LOOKS
+        self.status, self.reason = Status.ERROR, "the scan fits better elsewhere; the next ones decide"
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the place is new, and fits no better than others might."""
+        return self._looks > 0
+
+    @property
+    def carried(self) -> bool:
+        """Whether the robot was localised at some time since it began."""
+        return self._seen is not None
+
+    @property
+    def refuted(self) -> bool:
+        """Whether several scans in a row went through walls: no person makes them do that."""
+        return self._against >= self._settings.refuting_scans
+
+    @property
+    def startled(self) -> bool:
+        """Whether the map has suddenly come to explain much less."""
+        return self._dropped >= self._settings.refuting_scans
+
+    def take(self, share: float, against: float, wide: float, odometry: Pose, why: str = "") -> None:
+        """Look at a scan.
+
+        Args:
+            share: of it that the map explains, less what speaks against the pose.
+            against: share of what speaks against the pose.
+            wide: metres over which the particles are spread.
+            odometry: where odometry says that the base is.
+            why: why the scan explains nothing, where that is known.
+        """
+        settings = self._settings
+        self.quality = share if self._anew else _MEMORY * self.quality + (1.0 - _MEMORY) * share
+        self._anew = False
+        self._against = self._against + 1 if against >= settings.refuting else 0
+        self._dropped = self._dropped + 1 if share < self._usual - _DROP else 0
+        enough = settings.poor if self.status is Status.OK else settings.good
+        fits = self.quality >= enough and not self.refuted
+        self._looks = 0 if self.quality >= _PROVEN else self._looks - 1 if fits and self._looks else self._looks
+        if not fits:
+            self.status, self.reason = Status.ERROR, why or self._why_lost(odometry, against)
+        elif self.doubtful:
+            self.status = Status.ERROR if self.carried else Status.NOT_YET
+            self.reason = f"the map explains {self.quality:.0%} of the scan here; a better place is looked for first"
+        elif wide > settings.widest:
+            self.status = Status.NOT_YET
+            self.reason = f"the robot may be anywhere within {wide:.1f} m (standard deviation) still"
+        else:
+            self.status, self.reason = Status.OK, ""
+            if self.quality >= settings.good and not self._against:
+                self._seen = odometry
+            self._usual = share if not self._usual else _HABIT * self._usual + (1.0 - _HABIT) * share
+
+    def _why_lost(self, odometry: Pose, against: float) -> str:
+        lost = f"lost: the map explains {self.quality:.0%} of the scan"
+        if against >= self._settings.refuting:
+            lost += f", and {against:.0%} of its beams go through walls"
+        if self._seen is None:
+            return f"{lost}; was the start wrong, or is it another map?"
+        step = self._seen.inverse @ odometry
+        if math.hypot(step.x, step.y) < _STOOD[0] and abs(step.theta) < _STOOD[1]:
+            return f"{lost} now, and odometry says that the base has not moved: is it frozen, or was the robot carried?"
+        return f"{lost} now"
