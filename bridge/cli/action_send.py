@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import uuid
+from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, Self
 
@@ -25,8 +26,8 @@ from bridge.hub.qos import Qos
 from bridge.hub.subscription import HubSample
 from bridge.messages.errors import ConversionError
 
-_SUCCEEDED = 4
-_STATES = {4: "succeeded", 5: "canceled", 6: "aborted"}
+SUCCEEDED = 4
+STATES = {4: "succeeded", 5: "canceled", 6: "aborted"}
 _LONGEST = 3600.0
 
 
@@ -43,10 +44,10 @@ def send(args: argparse.Namespace) -> int:
     type_name, values = type_and_values(args.goal)
     goal = yaml_fields(values)
     with open_client(args) as client, Interrupt() as interrupt:
-        sent = _Goal(client, absolute(args.name), spelled(type_name, "action"), interrupt)
+        sent = SentGoal(client, absolute(args.name), spelled(type_name, "action"), interrupt)
         try:
             sent.begin(goal)
-            end = sent.follow(args)
+            end = sent.follow(args.timeout, lambda feedback: _show(feedback, args))
         except KeyboardInterrupt:
             end = _give_up(sent, args, "Ctrl-C")
         except TimeoutError:
@@ -85,8 +86,22 @@ class Interrupt:
             raise KeyboardInterrupt
 
 
-class _Goal:
-    """The goal that is sent."""
+class SentGoal:
+    """A goal that is sent.
+
+    Args:
+        client: the session.
+        name: the action.
+        type_name: as ROS 2 spells it, "" for what its server has.
+        interrupt: keeps Ctrl-C.
+
+    Attributes:
+        id: its 16 bytes.
+        type_name: the action's type.
+
+    Raises:
+        CliError: there is no such action, or its type is not known.
+    """
 
     def __init__(self, client: Client, name: str, type_name: str, interrupt: Interrupt) -> None:
         types = Types(client)
@@ -96,8 +111,8 @@ class _Goal:
         self.type_name = self._send.type_name.removesuffix("_SendGoal")
         self._result = Caller(client, types, f"{part}get_result")
         self._cancel = Caller(client, types, f"{part}cancel_goal")
-        self._id = uuid.uuid4().bytes
-        self._uuid = {"uuid": base64.b64encode(self._id).decode()}
+        self.id = uuid.uuid4().bytes
+        self._uuid = {"uuid": base64.b64encode(self.id).decode()}
         self._asked = False
         self._news: SimpleQueue[_Feedback | _End] = SimpleQueue()
         self._feedback_type = f"{self.type_name}_FeedbackMessage"
@@ -113,11 +128,23 @@ class _Goal:
             raise CliError(f"{self.name} rejected the goal")
         self._ask_result()
 
-    def follow(self, args: argparse.Namespace) -> dict[str, Any] | CallError:
-        """Show feedback until the goal ends; raises `TimeoutError` where that takes longer than it may."""
-        end = time.monotonic() + (_LONGEST * 24 * 365 if args.timeout is None else args.timeout)
+    def follow(
+        self,
+        timeout: float | None,
+        show: Callable[[dict[str, Any]], None],
+        each: Callable[[], None] = lambda: None,
+    ) -> dict[str, Any] | CallError:
+        """Show feedback until the goal ends; raises `TimeoutError` where that takes longer than it may.
+
+        Args:
+            timeout: seconds; None for ever.
+            show: gets the feedback.
+            each: called at least five times a second.
+        """
+        end = time.monotonic() + (_LONGEST * 24 * 365 if timeout is None else timeout)
         while True:
             self._interrupt.check()
+            each()
             try:
                 news = self._news.get(timeout=min(0.2, max(end - time.monotonic(), 0.0)) or 0.001)
             except Empty:
@@ -126,8 +153,7 @@ class _Goal:
                 continue
             if isinstance(news, _End):
                 return news.reply
-            if not args.no_feedback:
-                self._show(news.cdr, args)
+            self._read(news.cdr, show)
 
     def cancel(self) -> None:
         """Ask for its cancellation, also where it is not accepted yet."""
@@ -141,36 +167,41 @@ class _Goal:
 
     def _heard(self, sample: HubSample) -> None:
         data = sample.data()
-        if data[4:20] == self._id:
+        if data[4:20] == self.id:
             self._news.put(_Feedback(data))
 
-    def _show(self, cdr: bytes, args: argparse.Namespace) -> None:
+    def _read(self, cdr: bytes, show: Callable[[dict[str, Any]], None]) -> None:
         try:
             feedback = self._types.decode(self._feedback_type, self._feedback_hash, cdr)["feedback"]
         except ConversionError as err:
             print(f"# {clean(err)}", file=sys.stderr)
             return
-        if args.json:
-            print(json_line({"feedback": feedback}), flush=True)
-        else:
-            print(f"feedback:\n{message_text(feedback, full=args.full)}---", flush=True)
+        show(feedback)
 
 
-def _give_up(sent: _Goal, args: argparse.Namespace, why: str) -> dict[str, Any] | CallError:
+def _show(feedback: dict[str, Any], args: argparse.Namespace) -> None:
+    if args.no_feedback:
+        return
+    if args.json:
+        print(json_line({"feedback": feedback}), flush=True)
+    else:
+        print(f"feedback:\n{message_text(feedback, full=args.full)}---", flush=True)
+
+
+def _give_up(sent: SentGoal, args: argparse.Namespace, why: str) -> dict[str, Any] | CallError:
     """Cancel the goal, and wait for its end."""
     print(f"{why}: the goal is being cancelled; Ctrl-C again does not wait", file=sys.stderr)
     sent.cancel()
-    args.timeout = None
-    return sent.follow(args)
+    return sent.follow(None, lambda feedback: _show(feedback, args))
 
 
 def _tell_end(end: dict[str, Any] | CallError, args: argparse.Namespace) -> int:
     if isinstance(end, CallError):
         raise CliError(f"the goal was lost: {clean(end)}")
-    state = _STATES.get(end["status"], f"state {end['status']}")
+    state = STATES.get(end["status"], f"state {end['status']}")
     if args.json:
         print(json_line({"status": state, "result": end["result"]}))
     else:
         result = message_text(end["result"], full=args.full) if end["result"] else ""
         print(f"{state}\n{result}", end="")
-    return 0 if end["status"] == _SUCCEEDED else 1
+    return 0 if end["status"] == SUCCEEDED else 1

@@ -58,14 +58,14 @@ def run(args: argparse.Namespace) -> int:
         if not args.replace and args.name in stored.names(LOCATION):
             msg = f"location {args.name!r} is there already; --replace puts this one in its place"
             raise CliError(msg)
-        x, y, theta = _here(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
+        x, y, theta = robot_pose(client, args.map_frame, args.base_frame) if args.here else (*args.pose, 0.0)[:3]
         place = Map2DLocation(map_name, x, y, theta, args.description)
         stored.write([Write(LOCATION, args.name, place)])
     print(f"{clean(args.name)}: {x:.3f}, {y:.3f} m, {theta:.1f} degrees on {clean(map_name)}")
     return 0
 
 
-def _here(client: Client, map_frame: str, base_frame: str) -> tuple[float, float, float]:
+def robot_pose(client: Client, map_frame: str, base_frame: str) -> tuple[float, float, float]:
     """Where the robot is, metres and degrees; raises `CliError` where that is not known now."""
     heard = Heard(client)
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -12,7 +12,7 @@ from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapcolours import GREYS, picture_of_flags
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 
-LOCATION_COLOUR, AREA_COLOUR = (0, 110, 0), (0, 90, 200)
+LOCATION_COLOUR, AREA_COLOUR, PATH_COLOUR = (0, 110, 0), (0, 90, 200), (200, 0, 120)
 
 _WANTED = 1200
 """Pixels that the longer side of a small map is drawn with."""
@@ -22,7 +22,11 @@ _FONT = 14
 
 
 def draw(
-    grid: MapGrid2D, locations: Mapping[str, Map2DLocation], areas: Mapping[str, Map2DArea], scale: int = 0
+    grid: MapGrid2D,
+    locations: Mapping[str, Map2DLocation],
+    areas: Mapping[str, Map2DArea],
+    scale: int = 0,
+    path: Sequence[tuple[float, float]] = (),
 ) -> Image.Image:
     """The picture of a map.
 
@@ -31,6 +35,7 @@ def draw(
         locations: those on it, by name: an arrow that points as they do.
         areas: those on it, by name: their outline.
         scale: pixels of a cell; 0 for what makes a small map large enough.
+        path: places, metres, that a line joins.
     """
     scale = scale or max(1, min(16, _WANTED // max(grid.width(), grid.height())))
     image = Image.fromarray(colours(grid)).resize(
@@ -44,6 +49,8 @@ def draw(
             pen.line([*corners, corners[0]], fill=AREA_COLOUR, width=2)
             x, y = (sum(part) / len(corners) for part in zip(*corners, strict=True))
             pen.text((x, y), name, fill=AREA_COLOUR, font=font, anchor="mm")
+    if len(path) > 1:
+        pen.line([_pixel(grid, x, y, scale) for x, y in path], fill=PATH_COLOUR, width=3, joint="curve")
     for name, place in locations.items():
         x, y = _pixel(grid, place.x, place.y, scale)
         dx, dy = heading(grid, place)

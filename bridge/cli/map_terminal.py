@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.style import Style
 from rich.text import Text
 
-from bridge.cli.map_picture import AREA_COLOUR, LOCATION_COLOUR, colours, heading
+from bridge.cli.map_picture import AREA_COLOUR, LOCATION_COLOUR, PATH_COLOUR, colours, heading
 from bridge.cli.text import clean
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
@@ -44,6 +45,7 @@ def lines(
     width: int,
     *,
     coloured: bool,
+    path: Sequence[tuple[float, float]] = (),
 ) -> list[Text]:
     """The map's lines, and below them what the marks on it are.
 
@@ -53,11 +55,13 @@ def lines(
         areas: those on it: dots on their outline.
         width: columns that there are.
         coloured: half blocks in colours; else a letter for each flag.
+        path: places, metres, that a line of ``o`` joins.
     """
     step = max(1, math.ceil(grid.width() / width))
     shown = _reduced(grid, step)
     chosen = _chosen(colours(grid), grid, shown)
-    marks = _area_marks(grid, areas, step) | _location_marks(grid, locations, step)
+    marks = _area_marks(grid, areas, step) | _line_marks(grid, path, step, "o", PATH_COLOUR)
+    marks |= _location_marks(grid, locations, step)
     found = []
     for row in range(0, shown.shape[0], 2):
         line = Text()
@@ -122,15 +126,24 @@ def _location_marks(grid: MapGrid2D, locations: Mapping[str, Map2DLocation], ste
 
 def _area_marks(grid: MapGrid2D, areas: Mapping[str, Map2DArea], step: int) -> Marks:
     marks: Marks = {}
-    size = np.array([grid.width(), grid.height()]) / step
     for area in areas.values():
-        corners = grid.in_cells([(point.x, point.y) for point in area.points] or np.zeros((0, 2))) / step
-        for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            # no more dots than a map could show, however far a corner is
-            count = int(min(2 * np.abs(end - start).max() + 2, 4 * size.sum()))
-            for column, row in start + np.linspace(0, 1, count)[:, None] * (end - start):
-                if 0 <= column < size[0] and 0 <= row < size[1]:
-                    marks[int(row // 2), int(column)] = ("·", AREA_COLOUR)
+        corners = [(point.x, point.y) for point in area.points]
+        marks |= _line_marks(grid, [*corners, *corners[:1]], step, "·", AREA_COLOUR)
+    return marks
+
+
+def _line_marks(
+    grid: MapGrid2D, points: Sequence[tuple[float, float]], step: int, sign: str, colour: tuple[int, int, int]
+) -> Marks:
+    marks: Marks = {}
+    size = np.array([grid.width(), grid.height()]) / step
+    corners = grid.in_cells(list(points) or np.zeros((0, 2))) / step
+    for start, end in pairwise(corners):
+        # no more dots than a map could show, however far a corner is
+        count = int(min(2 * np.abs(end - start).max() + 2, 4 * size.sum()))
+        for column, row in start + np.linspace(0, 1, count)[:, None] * (end - start):
+            if 0 <= column < size[0] and 0 <= row < size[1]:
+                marks[int(row // 2), int(column)] = (sign, colour)
     return marks
 
 

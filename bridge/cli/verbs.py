@@ -36,6 +36,8 @@ VERBS: dict[str, Verb] = {
     "tf": Verb("bridge.cli.tf", "list, tree, echo and monitor of frames"),
     "map": Verb("bridge.cli.map", "list, show, import, export, edit-flags and use of the stored maps"),
     "location": Verb("bridge.cli.location", "list, add, remove and export of the stored locations"),
+    "goto": Verb("bridge.cli.goto", "drive to a place or a pose"),
+    "nav": Verb("bridge.cli.nav", "status, stop, pause, resume, path and show of what drives the robot"),
     "teleop": Verb("bridge.cli.teleop", "drive a base by the keyboard"),
     "halt": Verb("bridge.cli.halt", "zero velocity on every side, and all goals cancelled"),
     "yarp": Verb("bridge.cli.yarp", "look at and use a YARP network, as YARP's own tool does"),

@@ -1,0 +1,228 @@
+"""``midspan goto`` and ``midspan nav`` over a gateway whose planner the test plays."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from bridge.cli.goto import Progress
+from bridge.hub.qos import Durability, Qos
+from bridge.stores.kinds import AREA, LOCATION, MAP
+from navigation.status import State
+from tests.cli.conftest import Midspan, Outcome
+from tests.navigation.gateway.rig import Rig, pose
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+from yarp_compat.dev.locations import Map2DArea, Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.sig.vec2d import Vec2D
+
+KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with Rig(tmp_path_factory.mktemp("nav")) as made:
+        store = made.gateway._host.store
+        store.put(MAP, "flat", MapGrid2D.of(np.zeros((80, 100), np.uint8), name="flat", resolution=0.1))
+        store.use_map("flat")
+        store.put(LOCATION, "kitchen", Map2DLocation("flat", 2.5, 1.0, 90.0, ""))
+        corners = [Vec2D(4.0, 4.0), Vec2D(6.0, 4.0), Vec2D(6.0, 6.0), Vec2D(4.0, 6.0)]
+        store.put(AREA, "the hall", Map2DArea("flat", corners, ""))
+        yield made
+
+
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    running.fresh()
+    return running
+
+
+@pytest.fixture
+def midspan(rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Midspan:
+    file = tmp_path / "midspan.yaml"
+    file.write_text(json.dumps({"name": "here", "hub": {"listen": rig.hubs.endpoint}, "navigation": rig.section}))
+    return Midspan(file, capsys)
+
+
+def beside(midspan: Midspan, words: list[str], script: Callable[[], None]) -> Outcome:
+    """Run ``goto`` while the planner's part is played."""
+    failed: list[BaseException] = []
+
+    def play() -> None:
+        try:
+            script()
+        except BaseException as err:
+            failed.append(err)
+
+    playing = threading.Thread(target=play)
+    playing.start()
+    outcome = midspan("goto", "--timeout", "40", *words)
+    playing.join()
+    assert not failed, (failed, outcome)
+    return outcome
+
+
+def where(goal: Any) -> tuple[float, float, float]:
+    place = goal.goal["pose"]["pose"]
+    turn = place["orientation"]
+    theta = math.degrees(2.0 * math.atan2(turn["z"], turn["w"]))
+    return place["position"]["x"], place["position"]["y"], pytest.approx(theta, abs=1e-6)
+
+
+def test_progress_tells_each_change_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    mine, other = (base64.b64encode(bytes([number] * 16)).decode() for number in (1, 2))
+    progress = Progress(bytes([1] * 16), as_json=False)
+    progress.look()
+    for goal, state, reason in (
+        (mine, "moving", ""),
+        (other, "aborted", "not ours"),
+        (mine, "waiting_obstacle", "a chair stands in the way"),
+        (mine, "waiting_obstacle", "a chair stands in the way"),
+        (mine, "moving", ""),
+    ):
+        progress.take({"goal_id": goal, "state": state, "reason": reason})
+    progress.feedback({"distance_remaining": 3.25})
+    progress.look()
+    progress.look()
+    told = ["moving, 3.2 m to go", "waiting obstacle: a chair stands in the way, 3.2 m to go", "moving, 3.2 m to go"]
+    assert capsys.readouterr().out.splitlines() == told
+
+
+def test_to_a_place_with_progress(rig: Rig, midspan: Midspan) -> None:
+    def drive() -> None:
+        goal = rig.planner.until(1)
+        assert where(goal) == (2.5, 1.0, 90.0)
+        rig.planner.tell(goal, State.WAITING, "a chair stands in the way")
+        rig.state(State.WAITING)
+        rig.planner.reach(goal)
+
+    outcome = beside(midspan, ["kitchen"], drive)
+    assert outcome.code == 0, outcome
+    lines = outcome.out.splitlines()
+    assert (lines[0], lines[-1]) == ("to 2.50, 1.00 m, 90 degrees in map", "arrived")
+
+
+def test_to_a_pose_and_an_end_that_is_none(rig: Rig, midspan: Midspan) -> None:
+    def refuse() -> None:
+        goal = rig.planner.until(1)
+        assert where(goal) == (-1.5, 2.0, -90.0)
+        rig.planner.give_up(goal, "no way leads there")
+
+    outcome = beside(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
+    assert outcome.code == 1
+    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there"}
+
+
+def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
+    def take() -> None:
+        goal = rig.planner.until(1)
+        assert "heading" in goal.goal["behavior_tree"]
+        rig.planner.reach(goal)
+
+    assert beside(midspan, ["1", "2"], take).code == 0
+
+
+def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> None:
+    def interrupt() -> None:
+        rig.planner.until(1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    outcome = beside(midspan, ["the hall"], interrupt)
+    assert outcome.code == 130
+    assert "Ctrl-C: the goal is being cancelled" in outcome.err
+    outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
+    assert outcome.code == 1
+    assert "0.5 s are over" in outcome.err
+    until(lambda: not rig.gateway.driving, "nothing drives", 20)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [(["moon"], "no location or area 'moon'"), (["1", "north"], "X Y [DEGREES]"), (["1", "nan"], "X Y [DEGREES]")],
+)
+def test_nowhere(midspan: Midspan, words: list[str], why: str) -> None:
+    outcome = midspan("goto", *words)
+    assert outcome.code == 1
+    assert why in outcome.err
+
+
+def test_status_pause_resume_and_stop(rig: Rig, midspan: Midspan) -> None:
+    assert midspan("nav", "pause").err == "midspan: there is no goal to pause\n"
+    assert midspan("nav", "resume").code == 1
+    assert midspan("nav", "status", "--json").json()["planner"] == "robot_goto"
+    rig.ask("go_to", name="kitchen")
+    rig.planner.until(1)
+    rig.state(State.MOVING)
+    outcome = midspan("nav", "status")
+    assert outcome.out.startswith("moving"), outcome
+    assert "goal     2.50, 1.00 m, 90 degrees in map" in outcome.out
+    assert "planner  robot_goto" in outcome.out
+    assert midspan("nav", "pause").out == "paused\n"
+    rig.state(State.PAUSED)
+    assert midspan("nav", "status", "--json").json()["state"] == "paused"
+    assert midspan("nav", "resume").out == "resumed\n"
+    rig.planner.until(2)
+    assert midspan("nav", "stop").code == 0
+    until(lambda: not rig.gateway.driving, "nothing drives", 20)
+
+
+def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -> None:
+    node = rig.planner.node
+    out = node.publisher("/planner/robot_goto/path", "nav_msgs/msg/Path", KEPT, priority="state")
+    frames = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos())
+    stop = threading.Event()
+
+    def stand() -> None:
+        transform = {"translation": {"x": 1.0, "y": 1.0}, "rotation": {"w": 1.0}}
+        while not stop.wait(0.05):
+            header = {"stamp": node.clock.stamp(), "frame_id": "map"}
+            frames.publish({"transforms": [{"header": header, "child_frame_id": "base_link", "transform": transform}]})
+
+    standing = threading.Thread(target=stand)
+    standing.start()
+    try:
+        rig.ask("go_to", name="kitchen")
+        goal = rig.planner.until(1)
+        rig.state(State.MOVING)
+        out.publish({"header": {"frame_id": "map"}, "poses": [pose(2.5, 4.0), pose(2.5, 1.0, math.pi / 2)]})
+        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is told", 20)
+        assert told[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
+        assert midspan("nav", "path").out.splitlines()[0].split()[:3] == ["1", "2.50", "4.00"]
+        shown = midspan("nav", "show", "--width", "100").out
+        assert {"o", "a", "b"} <= set(shown)
+        assert "goal: 2.5, 1 m, 90 degrees" in shown
+        assert "robot: 1, 1 m, 0 degrees" in shown
+        picture = tmp_path / "way.png"
+        assert midspan("nav", "show", "--png", str(picture)).code == 0
+        with Image.open(picture) as image:
+            pixels = set(map(tuple, np.asarray(image.convert("RGB")).reshape(-1, 3).tolist()))
+        assert {(200, 0, 120), (0, 110, 0)} <= pixels
+        rig.planner.reach(goal)
+    finally:
+        stop.set()
+        standing.join()
+        node.release(out)
+        node.release(frames)
+
+
+def test_no_gateway(
+    network: HubNetwork, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bridge.cli.calling.WAIT_SECONDS", 0.2)
+    file = tmp_path / "other.yaml"
+    file.write_text(json.dumps({"name": "there", "hub": network.config()}))
+    outcome = Midspan(file, capsys)("nav", "stop")
+    assert outcome.code == 1
+    assert "no gateway runs" in outcome.err
