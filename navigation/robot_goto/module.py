@@ -294,6 +294,9 @@ class RobotGoto(Module):
 
     def stop(self) -> None:
         """Stand still."""
+        goal, self._goal = self._goal, None
+        if goal is not None:  # nobody cancelled it
+            goal.abort(_result(Fault.NO_NAVIGATOR, "RobotGoto is stopped"))
         self.stop_driving("RobotGoto is stopped")
         if self._connected is not None:
             self._connected.close()

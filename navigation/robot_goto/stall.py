@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from navigation.pose import Pose, wrapped
 
@@ -38,13 +40,13 @@ class Stall:
         self._wanted = 0.0
         self._from: Pose | None = None
 
-    def add(self, now: float, passed: float, velocity: Sequence[float], moved: Pose) -> None:
+    def add(self, now: float, passed: float, velocity: NDArray[np.float64], moved: Pose) -> None:
         """Take up a step.
 
         Args:
             now: seconds.
             passed: seconds since the step before.
-            velocity: m/s forward and to the left and rad/s, that the base should have had.
+            velocity: (3,) m/s forward and to the left and rad/s, that the base should have had.
             moved: where it is by its odometry.
         """
         if self._from is None:

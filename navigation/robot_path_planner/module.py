@@ -325,6 +325,9 @@ class RobotPathPlanner(Module):
 
     def stop(self) -> None:
         """Have the robot stand still, and hear no more."""
+        goal, self._goal = self._goal, None
+        if goal is not None:  # nobody cancelled it
+            goal.abort(_result(Fault.NO_NAVIGATOR, "the planner is stopped"))
         self.planner.cancel("the planner is stopped")
         self._step()
         for close in self._closing:

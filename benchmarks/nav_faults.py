@@ -1,0 +1,56 @@
+"""What a robot does that drives to a place while something fails, with the whole deployment: simulator to gateway.
+
+Printed of each fault: seconds until the wheels stood and metres until then, what the client heard, whether the robot
+went on by itself, and how the goal ended. Rows hold the seconds until the wheels stood; their "peer" is the time that
+is allowed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from benchmarks.navfaults.cases import FAULTS
+from benchmarks.rows import Row, add_json_option, report
+from tests.support.chain import Chain
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; returns 1 where something was not as it should be."""
+    args = _parser().parse_args(arguments)
+    chosen = [fault for fault in FAULTS if args.faults is None or fault.key in args.faults]
+    rows, wrong = [], 0
+    for fault in chosen:
+        with tempfile.TemporaryDirectory(prefix="midspan-nav-faults-") as folder, Chain(Path(folder)) as chain:
+            chain.start()
+            chain.client.call("/sim/remove", "midspan_msgs/srv/Named", name="anna")
+            outcome = fault.happen(chain, args.place)
+            print(f"{fault.key:<26} {outcome}", flush=True)
+            wrong += bool(outcome.wrong)
+            if outcome.wrong and args.log:
+                assert chain.daemon is not None
+                print(chain.daemon.output()[-8000:])
+        if math.isfinite(fault.limit):
+            rows.append(Row(f"{fault.key}: until the wheels stand", outcome.still, fault.limit, "s"))
+    print()
+    report(rows, args.json)
+    return int(wrong > 0)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--faults", nargs="+", choices=[fault.key for fault in FAULTS], metavar="FAULT")
+    parser.add_argument("--place", default="kitchen", help="where to (default kitchen)")
+    parser.add_argument("--log", action="store_true", help="print the daemon's log where something was wrong")
+    add_json_option(parser)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

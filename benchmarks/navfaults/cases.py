@@ -1,0 +1,200 @@
+"""The faults, and what should come of each."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.navfaults.outcome import Outcome
+from bridge.modules.goal import Status
+from tests.support.chain import Asked, Chain
+
+Make = Callable[[Chain], AbstractContextManager[object]]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault.
+
+    Attributes:
+        key: its name.
+        make: has it happen, and ends it when the context is left.
+        lasts: seconds of it.
+        limit: seconds until the wheels should stand; infinite where the robot is to drive on.
+        says: what the reason that the client hears contains.
+        ends: how the goal should end; None: the fault ends before, and the goal is reached.
+    """
+
+    key: str
+    make: Make
+    lasts: float
+    limit: float
+    says: str = ""
+    ends: Status | None = Status.SUCCEEDED
+
+    def happen(self, chain: Chain, place: str) -> Outcome:
+        """Drive to a place, have it happen on the way, and see what comes of it."""
+        found = Outcome(self.key)
+        with contextlib.suppress(AssertionError):
+            self._happen(chain, place, found)
+            return found
+        found.wrong = found.wrong or str(sys.exc_info()[1] or "it did not come to its end")
+        return found
+
+    def _happen(self, chain: Chain, place: str, found: Outcome) -> None:
+        asked = chain.goto(place)
+        chain.until_moving()
+        chain.until(lambda: _way_off(chain, asked) > 0.5, "it is on the way")
+        truth = chain.truth
+        assert truth is not None
+        x, y, began = truth.x, truth.y, time.monotonic()
+        with self.make(chain):
+            try:
+                found.still = _still(chain, max(self.limit + 3.0, self.lasts) if math.isfinite(self.limit) else 3.0)
+            except AssertionError as err:
+                found.wrong = str(err) if math.isfinite(self.limit) else ""
+            now = chain.truth
+            assert now is not None
+            found.way = math.dist((x, y), (now.x, now.y))
+            time.sleep(max(0.0, began + self.lasts - time.monotonic()))
+            if math.isfinite(self.limit) and not (chain.truth and chain.truth.still):
+                found.wrong = found.wrong or "it drove again before the fault was over"
+        over = time.monotonic()
+        if self.ends is Status.SUCCEEDED and math.isfinite(self.limit):
+            with contextlib.suppress(AssertionError):
+                found.onward = chain.until_moving(30.0)
+        chain.until(lambda: asked.ended is not None, "the goal ends", 90.0)
+        told = [why for _, why in chain.said(began) if self.says and self.says in why]
+        found.told = told[0] if told else " | ".join(dict.fromkeys(w for _, w in chain.said(began) if w))
+        status = asked.status or Status.UNKNOWN
+        found.end = (
+            f"{status.name}{f' ({asked.reason})' if asked.reason else ''} after {(asked.ended or over) - over:.1f} s"
+        )
+        if self.ends is not None and status is not self.ends:
+            found.wrong = found.wrong or f"the goal should have ended {self.ends.name}"
+        if self.says and not told and self.says not in asked.reason:
+            found.wrong = found.wrong or f"the client did not hear '{self.says}'"
+
+
+def _way_off(chain: Chain, asked: Asked) -> float:
+    if asked.ended is not None:
+        raise AssertionError(f"the goal ended before the fault: {asked.status} {asked.reason}")
+    truth = chain.truth
+    return truth.speed + 0.4 if truth else 0.0
+
+
+def _still(chain: Chain, seconds: float) -> float:
+    """Seconds until the wheels stand for a while."""
+    began = time.monotonic()
+    while True:
+        chain.until_still(max(0.1, began + seconds - time.monotonic()))
+        since = time.monotonic()
+        while chain.truth is not None and chain.truth.still and time.monotonic() < since + 0.5:
+            time.sleep(0.01)
+        if chain.truth is not None and chain.truth.still:
+            return since - began
+        if time.monotonic() > began + seconds:
+            raise AssertionError(f"the wheels do not stand within {seconds:g} s")
+
+
+# what happens
+
+
+def _sensor(name: str) -> Make:
+    @contextmanager
+    def make(chain: Chain) -> Iterator[None]:
+        chain.fail(name)
+        try:
+            yield
+        finally:
+            chain.mend(name)
+
+    return make
+
+
+@contextmanager
+def _emergency(chain: Chain) -> Iterator[None]:
+    chain.client.call("/sim/emergency_stop", "std_srvs/srv/SetBool", data=True)
+    yield
+    chain.client.call("/sim/emergency_stop", "std_srvs/srv/SetBool", data=False)
+
+
+def _once(do: Callable[[Chain], Any]) -> Make:
+    @contextmanager
+    def make(chain: Chain) -> Iterator[None]:
+        do(chain)
+        yield
+
+    return make
+
+
+def _killed(worker: str) -> Make:
+    return _once(lambda chain: chain.kill(worker))
+
+
+def _frozen(worker: str) -> Make:
+    @contextmanager
+    def make(chain: Chain) -> Iterator[None]:
+        pid = int(chain.status(worker)["pid"])
+        os.kill(pid, signal.SIGSTOP)
+        yield
+        os.kill(pid, signal.SIGCONT)
+
+    return make
+
+
+def _without(module: str) -> Make:
+    """A module that is switched off by the configuration, and on again."""
+
+    @contextmanager
+    def make(chain: Chain) -> Iterator[None]:
+        _switch(chain, module, on=False)
+        yield
+        _switch(chain, module, on=True)
+
+    return make
+
+
+def _switch(chain: Chain, module: str, *, on: bool) -> None:
+    chain.config["modules"][module]["enabled"] = on
+    chain.write()
+    assert chain.daemon is not None
+    os.kill(chain.daemon.pid, signal.SIGHUP)
+
+
+def _halt(chain: Chain) -> None:
+    command = [sys.executable, "-m", "bridge.cli.main", "halt", "--config", str(chain.file)]
+    subprocess.run(command, check=True, capture_output=True, timeout=30)
+
+
+def _elsewhere(chain: Chain) -> None:
+    chain.teleport(*chain.places["bedroom"])
+
+
+FAULTS = (
+    Fault("laser silent", _sensor("laser_silent"), 4.0, 1.5, "laser"),
+    Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5),
+    Fault("odometry silent", _sensor("encoders_silent"), 4.0, 1.5, "odom"),
+    Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 5.0),
+    Fault("localiser switched off", _without("localization_server"), 5.0, 3.5, "stale"),
+    Fault("robot_goto switched off", _without("robot_goto"), 3.0, 1.5, "robot_goto"),
+    Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=Status.ABORTED),
+    Fault("base_control switched off", _without("base_control"), 4.0, 1.5),
+    Fault("emergency stop", _emergency, 4.0, 1.5),
+    Fault("modules killed", _killed("robot_path_planner"), 3.0, 1.5, ends=Status.ABORTED),
+    Fault("modules stand still", _frozen("robot_path_planner"), 3.0, 1.5, ends=None),
+    Fault("yarp worker killed", _killed("yarp"), 2.0, math.inf),
+    Fault("router killed", _killed("router"), 2.0, math.inf),
+    Fault("halt", _once(_halt), 2.0, 1.5, ends=Status.CANCELED),
+    Fault("localisation lost", _once(_elsewhere), 8.0, 5.0, ends=None),
+    Fault("simulator killed", _killed("sim"), 5.0, 1.5, ends=None),
+)

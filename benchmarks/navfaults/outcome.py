@@ -1,0 +1,43 @@
+"""What a fault led to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass
+class Outcome:
+    """What happened, and what the client heard.
+
+    Attributes:
+        key: the fault's.
+        still: seconds from the fault until the wheels stood; infinite where they did not.
+        way: metres that the robot went meanwhile.
+        told: what the client heard of it: state and reason.
+        onward: seconds from the end of the fault until the robot drove on; infinite where it was not to, or did not.
+        end: how the client's goal ended, and its reason.
+        wrong: what was not as it should be.
+    """
+
+    key: str
+    still: float = math.inf
+    way: float = 0.0
+    told: str = ""
+    onward: float = math.inf
+    end: str = ""
+    wrong: str = ""
+
+    def __str__(self) -> str:
+        parts = [
+            f"still after {self.still:.2f} s ({self.way * 100:.0f} cm)" if math.isfinite(self.still) else "drove on"
+        ]
+        if self.told:
+            parts.append(f"client: {self.told}")
+        if math.isfinite(self.onward):
+            parts.append(f"went on {self.onward:.2f} s after the end of the fault")
+        if self.end:
+            parts.append(f"goal: {self.end}")
+        if self.wrong:
+            parts.append(f"WRONG: {self.wrong}")
+        return "; ".join(parts)
