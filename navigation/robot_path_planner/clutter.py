@@ -39,6 +39,7 @@ class Clutter:
         self._forgotten = -math.inf
         self._news = distance_transform(ground.solid) > _KNOWN / grid.resolution
         self._disc = _disc(ground.radius / grid.resolution + 0.5)
+        self._half = _disc(ground.radius / 2 / grid.resolution + 0.5)
         self._cells: NDArray[np.int64] | None = None
 
     def see(self, laser: Pose, ranges: NDArray[np.float64], first: float, step: float, farthest: float) -> None:
@@ -79,10 +80,20 @@ class Clutter:
 
     def closed(self) -> NDArray[np.bool_]:
         """(rows, columns) where the robot does not fit for them."""
+        return self._around(self._disc)
+
+    def struck(self) -> NDArray[np.bool_]:
+        """(rows, columns) where the robot would strike them: half its radius about them.
+
+        A robot that has stopped in front of something stands in what is closed, but not in this.
+        """
+        return self._around(self._half)
+
+    def _around(self, disc: NDArray[np.int64]) -> NDArray[np.bool_]:
         found = np.zeros(self._ground.weights.shape, np.bool_)
         cells = self.cells
         if len(cells):
-            rows, columns = (np.add.outer(cells[:, axis], self._disc[:, axis]).ravel() for axis in (0, 1))
+            rows, columns = (np.add.outer(cells[:, axis], disc[:, axis]).ravel() for axis in (0, 1))
             high, wide = self._ground.weights.shape
             fits = (rows >= 0) & (rows < high) & (columns >= 0) & (columns < wide)
             found[rows[fits], columns[fits]] = True

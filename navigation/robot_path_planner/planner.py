@@ -232,6 +232,9 @@ class PathPlanner:
         jump = self._jump(now, pose)
         if jump and not task.due:
             task.due = jump
+        if jump and self._ground is not None:
+            # what was seen from where the robot is not stands somewhere else
+            self._clutter = Clutter(self._ground, self.settings.obstacle_memory)
         task.lost_since, task.placed = None, True
         if task.gone_since is not None:
             self._wait_for_navigator(task, now, local)
@@ -344,7 +347,7 @@ class PathPlanner:
         if not is_straight(ground, pose, task.waypoint.pose):
             task.due = "the way is not straight any more"
             return
-        if not len(clutter.cells) or not blocked(ground, clutter.closed(), cut(self._ahead(pose), _AHEAD)):
+        if not len(clutter.cells) or not blocked(ground, clutter.struck(), cut(self._ahead(pose), _AHEAD)):
             task.closed_since = None
             return
         task.closed_since = now if task.closed_since is None else task.closed_since

@@ -20,6 +20,8 @@ _BLUE, _PINK = {"r": 0.0, "g": 0.25, "b": 0.9, "a": 1.0}, {"r": 0.8, "g": 0.0, "
 _SAID_AGAIN = 5.0
 """Seconds after which YARP's status port says the same again, as upstream's does."""
 
+_REASON_AGAIN = 1.0
+
 Message = dict[str, Any]
 
 
@@ -44,13 +46,13 @@ class Told:
         self._image = host.yarp.output(f"{prefix}/map:o") if prefix else None
         self._last: tuple[Status, bytes] | None = None
         self._way: object = None
-        self._said = -math.inf
+        self._said = self._published = -math.inf
 
     def tell(self, now: float, planner: PathPlanner, goal_id: bytes = NO_GOAL) -> None:
         """Tell what is new: the status, and the way."""
         status, target = planner.status, planner.target
-        if (status, goal_id) != self._last:
-            self._last = status, goal_id
+        if self._is_news(now, status, goal_id):
+            self._last, self._published = (status, goal_id), now
             goal = None if target is None else {"header": self._header(), "pose": pose_message(target.pose)}
             self._status.publish(
                 status_message(self._host.clock.stamp(), status.state, status.reason, goal_id=goal_id, goal=goal)
@@ -62,6 +64,14 @@ class Told:
         if planner.waypoints is not self._way:
             self._way = planner.waypoints
             self._tell_way(planner)
+
+    def _is_news(self, now: float, status: Status, goal_id: bytes) -> bool:
+        """Whether to publish a status; one with another reason only, as with seconds that pass, once a second."""
+        if self._last is None or (status, goal_id) == self._last:
+            return self._last is None
+        before, goal_before = self._last
+        same = (status.state, status.fault, goal_id) == (before.state, before.fault, goal_before)
+        return not same or not 0 <= now - self._published < _REASON_AGAIN
 
     def show(self, planner: PathPlanner, pose: Pose | None) -> None:
         """Send a picture to whoever sees."""

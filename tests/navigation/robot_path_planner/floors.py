@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from navigation.constraints import Constraints
-from navigation.pose import Pose
+from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.itinerary import Atlas
 from navigation.robot_path_planner.planner import PathPlanner, Status
@@ -20,6 +20,9 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 RES = 0.05
 TICK = 0.1
 SPEED = 0.5
+TURN = 0.5
+ROOM = 0.2
+"""Metres that it keeps to crates."""
 SETTINGS = Settings(robot_radius=0.2, clearance=0.1)
 
 
@@ -46,7 +49,7 @@ ROOMS = ((2.4, 0.0, 2.6, 0.6), (2.4, 1.4, 2.6, 3.6), (2.4, 4.4, 2.6, 5.0))
 
 
 class Straight:
-    """Drives straight to where it is sent; a crate that it would drive into stops it."""
+    """Drives straight to where it is sent; a crate in its way stops it."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
@@ -73,19 +76,23 @@ class Straight:
         goal, constraints = self.sent[-1]
         away = self.pose.distance(goal)
         if away <= 0.03:
-            self.state = State.REACHED
-            self.pose = Pose(goal.x, goal.y, goal.theta)
+            turn = wrapped(goal.theta - self.pose.theta) if constraints.heading else 0.0
+            self.pose = Pose(goal.x, goal.y, self.pose.theta + min(TURN, max(-TURN, turn)))
+            if abs(turn) <= TURN:
+                self.state = State.REACHED
             return
         step = min(SPEED * TICK, constraints.max_lin_speed or 9.0, away)
         x, y = (here + (there - here) * step / away for here, there in zip(self.pose[:2], goal[:2], strict=True))
-        if any(math.dist((x, y), crate[:2]) < crate[2] for crate in self.crates):
+        nearer = [crate for crate in self.crates if math.dist((x, y), crate[:2]) < self.pose.distance(Pose(*crate))]
+        if any(math.dist((x, y), crate[:2]) < crate[2] + ROOM for crate in nearer):
             self._waits += TICK
             self.state, self.reason = State.WAITING, "obstacles are detected"
             if self._waits > self.patience:
                 self.state, self.reason = State.FAILING, "the obstacle did not go away"
             return
         self.state = State.MOVING
-        self.pose = Pose(x, y, math.atan2(goal.y - self.pose.y, goal.x - self.pose.x))
+        turn = wrapped(math.atan2(goal.y - self.pose.y, goal.x - self.pose.x) - self.pose.theta)
+        self.pose = Pose(x, y, self.pose.theta + min(TURN, max(-TURN, turn)))
 
 
 class Drive:

@@ -269,9 +269,9 @@ def test_yarp_asks_clicks_and_sees(place: Served) -> None:
     port = place.registered("/robotPathPlanner/rpc")
     with Client(port, naming=names) as words:
         assert words.ask(["get_robot_radius"]) == [0.2]
-        assert words.ask(["set_robot_radius", 0.21]) == ["[ok]"]
+        assert words.ask(["set_robot_radius", 0.21]) == ["ok"]
         assert words.ask(["get_robot_radius"]) == [0.21]
-        assert words.ask(["set_robot_radius", 0.2]) == ["[ok]"]
+        assert words.ask(["set_robot_radius", 0.2]) == ["ok"]
         assert "one number" in words.ask(["set_robot_radius", "wide"])[1]
     with ServiceClient(INavigation2DMsgs, port, naming=names) as client:
         assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("floor", 1.0, 4.0, 90.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from navigation.robot_path_planner.clutter import Clutter
 from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.itinerary import Leg, Link, Place, leg
-from navigation.robot_path_planner.lines import sampled
+from navigation.robot_path_planner.lines import blocked, sampled
 from navigation.robot_path_planner.settings import Settings
 from navigation.robot_path_planner.way import way
 from navigation.status import Fault
@@ -203,6 +204,20 @@ def test_what_the_laser_sees_closes_a_door_until_it_is_forgotten() -> None:
     assert not len(clutter.cells), "what is seen through is not there"
 
 
+def test_echoes_of_walls_that_the_map_has_are_no_obstacles() -> None:
+    ground = Ground(floor((2.0, 0.0, 2.5, 5.0)), 0.2)
+    clutter = Clutter(ground, memory=30.0)
+    for distance in (0.9, 1.1):  # the wall's at 1 m, seen by a robot that is not quite where it thinks
+        for _ in range(6):
+            clutter.see(WEST, np.full(3, distance), -0.005, 0.005, 5.0)
+    assert not len(clutter.cells)
+    for _ in range(10):
+        clutter.see(WEST, np.full(3, 0.5), -0.005, 0.005, 5.0)
+    assert len(clutter.cells)
+    stopped = np.array([(1.29, 1.0), (1.9, 1.0)])
+    assert blocked(ground, clutter.struck(), stopped), "also for a robot that has stopped right before it"
+
+
 class Two:
     """Two maps, with a stair of little and a lift of much cost between them; the stair leads to a closed room."""
 
@@ -228,6 +243,10 @@ def test_links_lead_to_other_maps_by_the_cheapest_way_that_there_is() -> None:
     assert leg(atlas, ground, WEST, Place("up", Pose(4.0, 1.0, 0.0))) == Leg(STAIR.second, STAIR.first)
     assert leg(atlas, ground, WEST, Place("up", Pose(1.0, 4.0, 0.0))) == Leg(LIFT.first, LIFT.second)
     assert leg(atlas, ground, WEST, Place("floor", EAST)) == Leg(Place("floor", EAST))
+    near = replace(STAIR, cost=20.0)  # nearer, and dearer
+    further = Link(Place("floor", Pose(4.0, 4.0, 0.0), "c"), Place("up", Pose(4.0, 1.0, 0.0), "d"), 1.0, "ramp")
+    goal = Place("up", Pose(2.0, 1.0, 0.0))
+    assert leg(Two(near, further), ground, WEST, goal) == Leg(further.first, further.second)
 
 
 @pytest.mark.parametrize(("links", "name", "fault"), [((), "up", Fault.NO_PATH), ((LIFT,), "roof", Fault.NO_MAP)])
