@@ -234,6 +234,18 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> 
     until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
 
 
+def test_a_goal_is_given_up_when_nobody_is_left_who_could_cancel_it(place: Served) -> None:
+    robot = place.robot
+    Sent(robot, 2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+    until(lambda: robot.x > 0.1, "it drives", 30)
+    robot.loop.call(robot.client.close)
+    try:
+        until(lambda: place.state == "idle" and robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+        assert robot.x < 1.9
+    finally:
+        robot.client = robot.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
+
+
 def test_a_goal_that_cannot_be_says_why(place: Served) -> None:
     status, result = Sent(place.robot, math.nan, 0.0).end()
     assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)

@@ -1,6 +1,8 @@
 """RobotGoto's section, and files of existing robots."""
 
 import math
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,7 +59,7 @@ retreat_duration 300
 """
 
 
-def of(folder, text, **own):
+def of(folder: Path, text: str, **own: Any) -> tuple[Settings, RobotGotoSection, list[str]]:
     file = folder / "robotGoto.ini"
     file.write_text(text)
     return settings_of(RobotGotoSection(ini=file, **own))
