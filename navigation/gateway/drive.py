@@ -12,6 +12,7 @@ from typing import Any
 from bridge.config.sections.navigation import OURS
 from bridge.modules.action_client import SentGoal
 from bridge.modules.action_server import Goal
+from bridge.modules.goal import Status
 from navigation.constraints import PREFIX, Constraints
 from navigation.maps.grid import yaw_of
 from navigation.pose import Pose
@@ -123,3 +124,15 @@ class Drive:
     def below(self) -> SentGoal | None:
         """The planner's goal, while it has one."""
         return self.sent if self.sent is not None and self.sent.active else None
+
+    def end(self, status: Status, code: int, why: str) -> None:
+        """Tell the client how its goal ended."""
+        if self.goal is None:
+            return
+        result = {"error_code": int(code), "error_msg": why}
+        if status is Status.SUCCEEDED:
+            self.goal.succeed({})
+        elif status is Status.CANCELED:
+            self.goal.canceled(result)
+        else:
+            self.goal.abort(result)

@@ -84,7 +84,7 @@ class Gateway:
         before, self.drive = self.drive, Drive([self._on_map(one) for one in targets], who, goal, name)
         self._unpause()
         if before is not None:
-            _tell_end(before, Status.CANCELED, Fault.OTHER, f"{who} gave another goal, which took its place")
+            before.end(Status.CANCELED, Fault.OTHER, f"{who} gave another goal, which took its place")
         if goal is not None:
             goal.execute()
         self._send(self.drive, None if before is None else before.below)
@@ -359,7 +359,7 @@ class Gateway:
             Status.CANCELED: (State.IDLE, why),
         }.get(status, (State.ABORTED, why))
         self.link.ended = None
-        _tell_end(drive, status, code, why)
+        drive.end(status, code, why)
         self._settle()
         self._changed()
 
@@ -422,17 +422,3 @@ class Gateway:
             if drive.below is not None:
                 drive.below.cancel()
             self._finish(drive, Status.ABORTED, Fault.OTHER, "the gateway is stopping")
-
-
-def _tell_end(drive: Drive, status: Status, code: int, why: str) -> None:
-    """Tell the client how its goal ended."""
-    goal = drive.goal
-    if goal is None or not goal.active:
-        return
-    result = {"error_code": int(code), "error_msg": why}
-    if status is Status.SUCCEEDED:
-        goal.succeed({})
-    elif status is Status.CANCELED:
-        goal.canceled(result)
-    else:
-        goal.abort(result)
