@@ -18,7 +18,9 @@ from yarp_compat.ports.port import PortCore
 from yarp_compat.pythonic import Content, Received, payload_of
 from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.generation import Generations
+from yarp_compat.wire.portable import Portable
 from yarp_compat.wire.profile import Profile
+from yarp_compat.wire.values import begun_by_vocab
 
 _log = logging.getLogger(__name__)
 
@@ -99,7 +101,11 @@ class Ports:
         return port
 
     def respond(self, name: str, respond: Respond) -> HostedPort:
-        """Answer Bottles of words, as the modules' own RPC ports do; an exception answers ``[fail]`` and its text."""
+        """Answer Bottles of words, as the modules' own RPC ports do; an exception answers ``[fail]`` and its text.
+
+        An answer that begins with ``[many]``, ``[ok]`` and the like begins with that vocab: `yarp rpc` shows the texts
+        after ``[many]`` as lines.
+        """
 
         def take(message: Message) -> None:
             received = Received(message, self._profile)
@@ -108,7 +114,7 @@ class Ports:
             except (ValueError, WireError) as err:
                 answer = ["[fail]", str(err)]
             if message.wants_reply:
-                received.reply(answer)
+                received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
 
         return self._made(name, take, rpc=True)
 

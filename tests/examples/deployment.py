@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from tests.interop.deployment import Deployment
-from tests.interop.mix_table import HubPlanner
+from tests.support.hub_planner import HubPlanner
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.ros1 import ROS1_PYTHON
@@ -39,18 +39,22 @@ class Examples:
         self.address = Address("127.0.0.1", free_port())
         (deployment.folder / "yarp.conf").write_text(f"{self.address.host} {self.address.port} yarp\n")
         self.names = NameClient(self.address, namespace="/root")
-        deployment.start(
-            yarp={"nameserver": "embedded", "address": f"127.0.0.1:{self.address.port}", "poll": 0.1},
-            navigation={"planner": PLANNER, "patience": 60.0},
-            modules={"map2d_server": {"enabled": True, "current": "flat"}},
-            store={"enabled": True},
-            **yaml.safe_load((EXAMPLES / "zenoh.yaml").read_text()),
-        )
+        deployment.start(**self.sections(PLANNER))
         self.planner = deployment.keep(HubPlanner(deployment.settings(PLANNER), PLANNER))
         until(lambda: all(map(self.names.query, _DOORS)), "YARP's doors are open", 40)
         self._place()
         answers = Localization2DServer(self)
         self._localizer = ServiceServer("/localization2D_nws_yarp/rpc", answers, naming=self.names).open()
+
+    def sections(self, planner: str) -> dict[str, Any]:
+        """Of the configuration."""
+        return {
+            "yarp": {"nameserver": "embedded", "address": f"127.0.0.1:{self.address.port}", "poll": 0.1},
+            "navigation": {"planner": planner, "patience": 60.0},
+            "modules": {"map2d_server": {"enabled": True, "current": "flat"}},
+            "store": {"enabled": True},
+            **yaml.safe_load((EXAMPLES / "zenoh.yaml").read_text()),
+        }
 
     def _place(self) -> None:
         with Map2DClient(naming=self.names) as maps:

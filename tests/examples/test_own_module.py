@@ -46,11 +46,11 @@ def test_a_robot_goes_to_its_charger(place: Place) -> None:
     says(0.5, "50% left")
     until(lambda: place.names.query("/charge/rpc"), "its port is registered", 20)
     with Client("/charge/rpc", naming=place.names) as person:
-        assert person.ask(["off"]) == ["[ok]"]
+        assert person.ask(["off"]) == ["ok"]
         says(0.1, "10% left; it is off")
         assert planner.requests(0) == []
-        assert person.ask(["on"]) == ["[ok]"]
-        assert person.ask(["nonsense"])[0] == "[fail]"
+        assert person.ask(["on"]) == ["ok"]
+        assert person.ask(["nonsense"])[0] == "fail"
     says(0.15, "to charger")
     assert planner.requests(1)[0]["name"] == "charger"
     says(0.9, "90% left")

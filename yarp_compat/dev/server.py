@@ -22,7 +22,7 @@ from yarp_compat.wire.message import Buffer
 from yarp_compat.wire.profile import Profile
 from yarp_compat.wire.reader import Reader
 from yarp_compat.wire.tags import VOCAB32
-from yarp_compat.wire.values import Vocab
+from yarp_compat.wire.values import Vocab, begun_by_vocab
 from yarp_compat.wire.writer import Writer
 
 log = logging.getLogger(__name__)
@@ -119,7 +119,7 @@ class Server:
         """The answer to a request in words; None where it means nothing to the service."""
         try:
             said = self._service.command(decode(payload, profile))
-            return None if said is None else encode(said, likely)
+            return None if said is None else encode(begun_by_vocab(said), likely)
         except WireError:
             return None
         except (ValueError, CallFailed) as error:

@@ -90,7 +90,7 @@ class Service:
             words: the request as a Bottle's values.
 
         Returns:
-            the answer's values; None where it is no command either.
+            the answer's values, the first of which may be a vocab as text (``[many]``); None where it is no command.
 
         Raises:
             ValueError: the command is known and something is wrong with it; says what.

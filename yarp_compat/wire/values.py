@@ -26,6 +26,7 @@ for a tuple: ``{"n": 1, "GROUP": (["a", 1], ["b", 2])}`` is ``((GROUP (a 1) (b 2
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -88,3 +89,11 @@ class Vocab64(Vocab):
     """A vocab written in eight bytes, also where four would do (YARP 4)."""
 
     __slots__ = ()
+
+
+def begun_by_vocab(values: Sequence[Any]) -> Sequence[Any]:
+    """Values of an answer whose first, where it is a text in brackets (``[many]``, ``[ok]``), becomes that vocab."""
+    match values:
+        case [str(word), *rest] if word.startswith("[") and word.endswith("]"):
+            return [Vocab(word[1:-1]), *rest]
+    return values

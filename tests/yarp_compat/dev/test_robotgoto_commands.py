@@ -83,6 +83,12 @@ def test_words(goto: Goto, profile: Profile) -> None:
     assert {"set linear_tol <m>", "set obstacle_stop <0/1>", "SetLinearTolerance", "stop_navigation_RPC"} <= set(told)
 
 
+def test_an_answer_may_begin_with_a_vocab_as_text(goto: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goto, "command", lambda _words: ["[many]", "[lines]"])
+    answer = Server(goto).answer(encode(["help"], Profile.YARP3), "/peer")
+    assert answer == encode([Vocab("many"), "[lines]"], Profile.YARP3)
+
+
 def test_what_is_no_command_is_refused(goto: Goto) -> None:
     server = Server(goto, Generations(Generation.YARP_3_12))
     assert server.answer(encode(["nonsense"], Profile.YARP3), "/peer") == FAIL

@@ -1,0 +1,62 @@
+"""``python -m tests.examples``: "go to a location" in each framework's words, over planners of each framework.
+
+The planners are stand-ins, the middlewares are real. `tests.examples.test_examples` runs the first of them.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.examples.deployment import PLANNER, Examples, run
+from tests.interop.deployment import Deployment
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import ros2_environment, ros2_python
+from tests.support.wait import until
+
+SUPPORT = Path(__file__).parents[1] / "support"
+SIDES = ("yarp", "rospy", "rclpy", "zenoh")
+
+
+def start(place: Examples, planner: str) -> Process | None:
+    """Start a planner, and have the gateway take it."""
+    deployment = place.deployment
+    program = None
+    if planner == "move_base":
+        program = Process([ROS1_PYTHON, SUPPORT / "ros1_move_base.py", "2.0", "0.5"], deployment.master.env)
+    elif planner == "nav2":
+        program = Process([ros2_python(), SUPPORT / "ros2_nav2.py", "2.0", "0.5"], ros2_environment())
+    deployment.configure(**place.sections(planner))
+    deployment.hang_up()
+
+    def chosen() -> bool:
+        found = [one for one in deployment.status() if one.get("worker") == "gateway"]
+        return bool(found) and (found[0]["planner"], found[0]["state"]) == (planner, "running")
+
+    until(chosen, f"{planner} is the planner", 40, 0.1)
+    return program
+
+
+def main() -> int:
+    """Print what each client's last line was, over each planner; 1 where one was not there."""
+    failed = 0
+    with tempfile.TemporaryDirectory() as folder, Deployment(Path(folder)) as deployment:
+        place = Examples(deployment)
+        for planner in (PLANNER, "move_base", "nav2"):
+            program = start(place, planner)
+            for side in SIDES:
+                words = (f"tcp/127.0.0.1:{deployment.port}",) if side == "zenoh" else ()
+                for name in ("hall", "kitchen"):
+                    code, said = run(place.start(side, f"goto_location_{side}.py", name, *words))
+                    failed += code != 0
+                    print(f"{planner:<20} {side:<6} {name:<8} {code}  {said[-1] if said else ''}", flush=True)
+            if program is not None:
+                program.stop()
+        place.stop()
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
