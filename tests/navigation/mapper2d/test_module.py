@@ -129,3 +129,48 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
         assert asked(place, *words)[0] == "fail"
     help_ = asked(place, "help")
     assert all(any(word in line for line in help_) for word in ("save_to_file", "initLoc", "set_pixel_type"))
+
+
+@pytest.mark.parametrize("by", ["tf", "topic"])
+def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
+    """The robot drives along x while a beam straight ahead sees a wall at x = 3 m, the laser 0.5 m before its base."""
+    section = {"enabled": True, "pose": by, "pose_topic": "/truth", "period": 0.1, "map_frame": "odom"}
+    with Place(tmp_path) as place:
+        place.worker.start(place.config(modules={"mapper2d": section}))
+        grids = place.far.subscribe("/mapper2d/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
+        scan = place.far.advertise("/scan", "sensor_msgs/LaserScan")
+        frames = place.far.advertise("/tf", "tf2_msgs/TFMessage")
+        static = place.far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
+        truth = place.far.advertise("/truth", "nav_msgs/Odometry")
+        place.far.publish(static, {"transforms": [transform("base_link", "laser", 0.5, {"sec": 1})]})
+        moved = 0.0
+
+        def mapped() -> bool:
+            nonlocal moved
+            for _ in range(10):
+                now = time.time_ns()
+                stamp = {"sec": now // 10**9, "nanosec": now % 10**9}
+                place.far.publish(frames, {"transforms": [transform("odom", "base_link", moved, stamp)]})
+                pose = {"position": {"x": moved}, "orientation": {"w": 1.0}}
+                place.far.publish(truth, {"header": {"stamp": stamp, "frame_id": "odom"}, "pose": {"pose": pose}})
+                beams = {"angle_increment": 0.01, "range_min": 0.1, "range_max": 20.0, "ranges": [2.525 - moved]}
+                place.far.publish(scan, {"header": {"stamp": stamp, "frame_id": "laser"}, **beams})
+                moved = (moved + 0.1) % 1.0
+                time.sleep(0.01)  # between two poses of different times
+            return bool((place.status("mapper2d") or {}).get("scans", 0) > 10)
+
+        until(mapped, "scans are mapped", 30)
+
+        def walls() -> set[tuple[float, float]]:
+            grid = place.far.wait(grids, 1)[-1]
+            origin, width = grid["info"]["origin"]["position"], grid["info"]["width"]
+            cells = [divmod(at, width) for at, value in enumerate(grid["data"]) if value == 100]
+            return {(round(origin["x"] + 0.05 * x, 2), round(origin["y"] + 0.05 * y, 2)) for y, x in cells}
+
+        until(lambda: walls() == {(3.0, 0.0)}, "the wall is where it is", 20)
+
+
+def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[str, Any]:
+    """A frame straight ahead of another."""
+    place = {"translation": {"x": x}, "rotation": {"w": 1.0}}
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
