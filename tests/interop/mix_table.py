@@ -1,15 +1,14 @@
 """Clients of every side over planners of every side, by one daemon's gateway, with real middlewares on both ends.
 
 ``python -m tests.interop.mix_table [--json FILE]`` (`make mix`) prints the table; the test beside it does the same. The
-planner is changed by the configuration while the daemon runs. "ours" is a stand-in on the hub, at the place of
-Midspan's own planners: what these do is shown by their own tests.
+planner is changed by the configuration while the daemon runs. "ours" is Midspan's RobotPathPlanner over its RobotGoto;
+their robot has no body, so that it is quick. move_base and Nav2 are stand-ins.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import tempfile
 import time
@@ -17,17 +16,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from bridge.modules.action_server import Goal
 from bridge.modules.goal import STATUSES, Status, parts
 from bridge.modules.node import Subscription
-from navigation.gateway.link import KEPT, NAVIGATE
+from navigation.gateway.link import KEPT
 from navigation.status import STATUS
-from tests.contract.hubside import HubSide
 from tests.interop.deployment import Deployment
-from tests.navigation.gateway.rig import Asked, Program, pose
-from tests.support.peer import Peer
+from tests.interop.mix_clients import SECONDS, Client, RosClient, YarpClient, ZenohClient
+from tests.navigation.gateway.rig import Program, pose
+from tests.support.point_robot import PointRobot
 from tests.support.ports import free_port
 from tests.support.process import Process
 from tests.support.ros1 import ROS1_PYTHON
@@ -35,26 +33,32 @@ from tests.support.ros2 import SHORT_LEASE, ros2_environment, ros2_python
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
-from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
-SECONDS = 40.0
 SPEED, PATIENCE = 2.0, 0.5
 """Of the stand-ins: m/s, and seconds until a goal that cannot be reached is given up."""
 
-NEAR, FAR, NOWHERE = 1.0, 500.0, 999.0
+NEAR, FAR, NOWHERE = 1.0, 40.0, 999.0
 """Goals, metres along x: one that is soon reached, one that is not, and one that cannot be."""
+
+QUICK = {
+    "max_lin_speed": SPEED,
+    "max_lin_acc": 20.0,
+    "lin_speed_gain": 3.0,
+    "max_ang_speed": 360.0,
+    "max_ang_acc": 7200.0,
+    "ang_speed_gain": 4.0,
+    "reaction": 0.1,
+}
+"""Of RobotGoto, whose robot has no weight."""
 
 PARTS = ("goto", "feedback", "pause", "resume", "cancel", "abort")
 YARP, ROS1, ROS2, ZENOH = "YARP INavigation2D", "ROS 1 actionlib", "ROS 2 action", "zenoh (hub) action"
-OURS, MOVE_BASE, NAV2 = "ours", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
+OURS, MOVE_BASE, NAV2 = "ours (RobotPathPlanner)", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
 IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
 OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
 """Clients that speak to the planner itself: the gateway has no door there, and pauses nothing of theirs."""
-
-TRIGGER = "std_srvs/Trigger"
-_ENDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 
 
 @dataclass(frozen=True)
@@ -72,160 +76,6 @@ class Cell:
         """Whether it is as it should be."""
         own = (self.planner, self.client) in OWN and self.part in ("pause", "resume")
         return self.seen == ("own" if own else "yes")
-
-
-class Client(Protocol):
-    """A program of a side that wants the robot somewhere."""
-
-    def goto(self, x: float) -> None:
-        """Drive there."""
-
-    def progress(self) -> int:
-        """How much it has heard of its goal's progress."""
-
-    def cancel(self) -> None:
-        """Give the goal up."""
-
-    def ask(self, word: str) -> bool:
-        """``pause`` or ``resume``; whether that was done."""
-
-    def end(self) -> str:
-        """How the goal ended, "" while it has not."""
-
-
-class YarpClient:
-    """A client of INavigation2D."""
-
-    def __init__(self, remote: INavigation2DMsgs) -> None:
-        self._remote = remote
-        self._heard = 0
-
-    def goto(self, x: float) -> None:
-        assert self._remote.goto_target_by_absolute_location_RPC(Map2DLocation("map", x, 0.0, 0.0))
-        self._heard = 0
-
-    def progress(self) -> int:
-        self._heard += self._state() == "moving"
-        return self._heard
-
-    def cancel(self) -> None:
-        assert self._remote.stop_navigation_RPC()
-
-    def ask(self, word: str) -> bool:
-        call = {
-            "pause": lambda: self._remote.suspend_navigation_RPC(math.inf),
-            "resume": self._remote.resume_navigation_RPC,
-        }
-        return bool(call[word]())
-
-    def end(self) -> str:
-        ends = {"goal_reached": "succeeded", "idle": "canceled", "aborted": "aborted"}
-        return ends.get(self._state(), "")
-
-    def _state(self) -> str:
-        return self._remote.get_navigation_status_RPC()[1].name.removeprefix("navigation_status_")
-
-
-class RosClient:
-    """A rospy or rclpy program with an action client, and calls of the gateway's services."""
-
-    def __init__(self, peer: Peer, action: str, type_: str, field: str) -> None:
-        self.peer, self._action, self._type, self._field = peer, action, type_, field
-        self._goal = 0
-
-    def goto(self, x: float, frame: str = "map") -> None:
-        goal = {self._field: pose(x, frame=frame)}
-        sent = self.peer.ask("send_goal", action=self._action, type=self._type, goal=goal, seconds=SECONDS)
-        self._goal = sent["id"]
-
-    def progress(self) -> int:
-        return len(self._told()["feedback"])
-
-    def cancel(self) -> None:
-        self.peer.ask("cancel", id=self._goal)
-
-    def ask(self, word: str) -> bool:
-        call = self.peer.ask("call", service=f"/navigation/{word}", type=TRIGGER)["id"]
-        reply = self.peer.ask("result", id=call, seconds=SECONDS)["reply"]
-        return bool(reply and reply["success"])
-
-    def end(self) -> str:
-        return _ENDS.get(self._told()["status"], "")
-
-    def _told(self) -> dict[str, Any]:
-        return self.peer.ask("goal", id=self._goal, seconds=0.0)
-
-
-class ZenohClient:
-    """A program on the hub itself."""
-
-    def __init__(self, program: Program, far: HubSide) -> None:
-        self._program, self._far = program, far
-        self._asked: Asked | None = None
-
-    def goto(self, x: float) -> None:
-        self._asked = Asked(self._program, pose(x))
-
-    def progress(self) -> int:
-        assert self._asked is not None
-        return len(self._asked.feedback)
-
-    def cancel(self) -> None:
-        assert self._asked is not None
-        self._asked.cancel()
-
-    def ask(self, word: str) -> bool:
-        return bool(self._far.call(f"/navigation/{word}", TRIGGER).result(SECONDS)["reply"]["success"])
-
-    def end(self) -> str:
-        assert self._asked is not None
-        return _ENDS.get(int(self._asked.sent.status), "") if self._asked.ended else ""
-
-
-class HubPlanner(Program):
-    """A planner on the hub that drives as the other stand-ins do."""
-
-    def __init__(self, settings: Any, name: str) -> None:
-        super().__init__(settings)
-        self._x, self._goal, self._since = 0.0, None, 0.0
-        self.on(
-            lambda: self.node.action_server(f"/planner/{name}/navigate_to_pose", NAVIGATE, self._take, self._cancel)
-        )
-        self.loop.every(0.1, self._step)
-
-    def _take(self, goal: Goal) -> bool:
-        if self._goal is not None:
-            self._goal.canceled({"error_msg": "another goal took its place"})
-        self._goal: Goal | None = goal
-        self._since = time.monotonic()
-        goal.execute()
-        return True
-
-    def _cancel(self, goal: Goal) -> bool:
-        if goal is self._goal:
-            self._goal = None
-        self.loop.post(lambda: goal.canceled({"error_msg": "canceled"}))
-        return True
-
-    def _step(self) -> None:
-        goal = self._goal
-        if goal is None:
-            return
-        left = goal.goal["pose"]["pose"]["position"]["x"] - self._x
-        if left > 900.0 - self._x - 1.0:
-            if time.monotonic() - self._since > PATIENCE:
-                self._goal = None
-                goal.abort({"error_code": 9006, "error_msg": "no way leads there"})
-            return
-        self._x += math.copysign(min(abs(left), 0.1 * SPEED), left)
-        goal.feedback({"current_pose": pose(self._x), "distance_remaining": abs(left)})
-        if abs(left) <= 0.1 * SPEED:
-            self._goal = None
-            goal.succeed()
-
-    def stop(self) -> None:
-        """Leave the hub."""
-        self.close()
 
 
 class Mix:
@@ -248,8 +98,12 @@ class Mix:
         place = f"{self._names.host}:{self._names.port}"
         return {
             "yarp": {"nameserver": "embedded", "address": place, "poll": 0.1},
-            "navigation": {"planner": IDS[planner], "patience": 60.0},
+            "navigation": {"planner": IDS[planner], "patience": 60.0, "map": "/map"},
             "store": {"enabled": True},
+            "modules": {
+                "robot_path_planner": {"enabled": planner == OURS, "scan": ""},
+                "robot_goto": {"enabled": planner == OURS, **QUICK},
+            },
         }
 
     def _clients(self) -> dict[str, Client]:
@@ -272,7 +126,7 @@ class Mix:
         speed, patience = str(SPEED), str(PATIENCE)
         support = Path(__file__).parents[1] / "support"
         if planner == OURS:
-            self._planner = HubPlanner(self.deployment.settings(IDS[planner]), IDS[planner])
+            self._planner = PointRobot(self.deployment.settings("robot"), (60.0, 6.0))
         elif planner == MOVE_BASE:
             program = [ROS1_PYTHON, support / "ros1_move_base.py", speed, patience]
             self._planner = Process(program, self.deployment.master.env)
@@ -289,8 +143,10 @@ class Mix:
         until(lambda: self._chosen(planner), f"{planner} is the planner", SECONDS, 0.1)
 
     def _chosen(self, planner: str) -> bool:
-        found = [one for one in self.deployment.status() if one.get("worker") == "gateway"]
-        return bool(found) and found[0]["planner"] == IDS[planner] and found[0]["state"] == "running"
+        found = {one.get("worker"): one for one in self.deployment.status()}
+        asked = ["gateway", *([IDS[planner], "robot_goto"] if planner == OURS else [])]  # ours needs its map
+        running = all(found.get(one, {}).get("state") == "running" for one in asked)
+        return running and found["gateway"]["planner"] == IDS[planner]
 
     def end(self) -> None:
         """Have the planner's program end in good order: a name that ROS's master still has is another's."""
@@ -336,6 +192,10 @@ class Mix:
     def faults(self, planner: str) -> Iterator[Cell]:
         """Who is killed in the middle of a goal, and what the others see of it."""
         tries: dict[str, list[tuple[str, str, Callable[[str, Client], str]]]] = {
+            OURS: [
+                ("a goal on /move_base_simple/goal", ROS1, partial(self._publish, "/move_base_simple/goal")),
+                ("a goal on /goal_pose", ROS2, partial(self._publish, "/goal_pose")),
+            ],
             MOVE_BASE: [
                 ("a frame that nobody knows", ROS2, self._unknown_frame),
                 ("the planner's own goal, stopped by YARP", ROS1, self._stop_direct),
@@ -345,6 +205,24 @@ class Mix:
         }
         for part, name, attempt in tries.get(planner, []):
             yield _tried(planner, name, part, partial(attempt, planner, self.clients[name]))
+
+    def _publish(self, topic: str, _planner: str, client: Client) -> str:
+        assert isinstance(client, RosClient)
+        out = client.peer.advertise(topic, "geometry_msgs/PoseStamped")
+
+        def moves() -> bool:
+            client.peer.publish(out, pose(FAR))
+            return self.state() == "moving"
+
+        until(moves, "it moves", SECONDS, 0.2)
+        client.peer.drop(out)
+
+        def stands() -> bool:
+            self.clients[YARP].cancel()
+            return not self.driving() and self.state() == "idle"
+
+        until(stands, "it was stopped", SECONDS, 0.3)  # the newest of the goals may still be on its way
+        return "yes"
 
     def _unknown_frame(self, _planner: str, client: Client) -> str:
         assert isinstance(client, RosClient)
@@ -427,7 +305,7 @@ class Mix:
 
     def _ends(self, client: Client, end: str, state: str) -> None:
         until(client.end, "the client hears of its goal's end", SECONDS)
-        assert client.end() == end, f"{client.end()}, not {end}"
+        assert client.end() == end, f"{client.end()}, not {end}: {self.statuses[-1]['reason']}"
         until(lambda: not self.driving(), "the planner has no goal", SECONDS)
         until(lambda: self.state() == state, f"everybody sees {state}", SECONDS)
 

@@ -17,4 +17,4 @@ def test_every_client_drives_by_every_planner(
     assert all(cell.good for cell in cells), found
     parts = [cell for cell in cells if cell.part in mix_table.PARTS]
     assert len({(cell.planner, cell.client, cell.part) for cell in parts}) == 3 * 4 * 6
-    assert len(cells) == len(parts) + 4
+    assert len(cells) == len(parts) + 6

@@ -1,0 +1,85 @@
+"""A robot without a body on the hub: it goes as ``/cmd_vel`` says, tells its frames, and its laser sees nothing."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from bridge.clock import SYSTEM
+from bridge.hub.qos import Durability, Qos
+from bridge.hub.session import Hub, HubSettings
+from bridge.messages.registry import Registry
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+
+PERIOD = 0.02
+TIMEOUT = 0.3
+_KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+BEAMS = 90
+
+
+class PointRobot:
+    """Begins at (0, 0) of the map, looking along x. The map is free and as large as it is told.
+
+    Args:
+        settings: of its session.
+        size: of the map, metres along x and y; the robot begins 5 m from its left border, in the middle of y.
+    """
+
+    def __init__(self, settings: HubSettings, size: tuple[float, float]) -> None:
+        self.x = self.y = self.theta = 0.0
+        self._speed, self._turn, self._silent = 0.0, 0.0, 0.0
+        self._loop = Loop(settings.node)
+        self._node = node = Node(Hub.open(settings), Registry(), self._loop, SYSTEM)
+        self._loop.start()
+        self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", Qos(depth=10))
+        self._scan = node.publisher("/scan", "sensor_msgs/msg/LaserScan", Qos(depth=5))
+        self._map = node.publisher("/map", "nav_msgs/msg/OccupancyGrid", _KEPT)
+        self._map.publish(_free(size))
+        node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._hear, Qos(depth=1))
+        self._count = 0
+        self._loop.every(PERIOD, self._step)
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        self._speed, self._turn, self._silent = message["linear"]["x"], message["angular"]["z"], 0.0
+
+    def _step(self) -> None:
+        self._silent += PERIOD
+        if self._silent > TIMEOUT:
+            self._speed = self._turn = 0.0
+        self.theta += self._turn * PERIOD
+        self.x += self._speed * PERIOD * math.cos(self.theta)
+        self.y += self._speed * PERIOD * math.sin(self.theta)
+        self._count += 1
+        stamp = SYSTEM.stamp()
+        if self._count % 2 == 0:
+            turn = {"z": math.sin(self.theta / 2), "w": math.cos(self.theta / 2)}
+            at = {"translation": {"x": self.x, "y": self.y}, "rotation": turn}
+            frames = [_frame(stamp, "map", "odom", {"rotation": {"w": 1.0}}), _frame(stamp, "odom", "base_link", at)]
+            self._tf.publish({"transforms": frames})
+        if self._count % 5 == 0:
+            step = 2 * math.pi / BEAMS
+            self._scan.publish({
+                "header": {"stamp": stamp, "frame_id": "base_link"},
+                "angle_min": -math.pi, "angle_max": math.pi - step, "angle_increment": step,
+                "range_min": 0.05, "range_max": 10.0, "ranges": np.full(BEAMS, np.inf, np.float32),
+            })  # fmt: skip
+
+    def stop(self) -> None:
+        """Leave the hub."""
+        self._node.close()
+        self._loop.close()
+        self._node.hub.close()
+
+
+def _frame(stamp: dict[str, int], parent: str, child: str, at: dict[str, Any]) -> dict[str, Any]:
+    return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": at}
+
+
+def _free(size: tuple[float, float], resolution: float = 0.1) -> dict[str, Any]:
+    width, height = (round(side / resolution) for side in size)
+    origin = {"position": {"x": -5.0, "y": -size[1] / 2}, "orientation": {"w": 1.0}}
+    info = {"resolution": resolution, "width": width, "height": height, "origin": origin}
+    return {"header": {"frame_id": "map"}, "info": info, "data": np.zeros(width * height, np.int8)}
