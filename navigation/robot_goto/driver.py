@@ -10,12 +10,12 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from navigation.algorithms.rolling_grid import UNKNOWN
-from navigation.algorithms.stopping import kernels
 from navigation.constraints import Constraints
 from navigation.pose import Pose, wrapped
 from navigation.robot_goto.command import STILL, Command, Status
+from navigation.robot_goto.guard import FAST_ROOM, Guard
 from navigation.robot_goto.local_grid import AT_BASE, LocalGrid, Scan
 from navigation.robot_goto.settings import Settings
 from navigation.robot_goto.stall import Stall
@@ -33,11 +33,9 @@ RAMP = 2.0
 
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
-_CREEP_ROOM, _FAST_ROOM = 0.01, 0.05
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
 _JUMP = 0.3
 _DOES_NOT_FOLLOW = "the base does not follow its commands: an emergency stop, or odometry that is frozen?"
-_BARELY, _LEAST = 0.1, 0.002
 _LOOK, _LOOKS, _LOOK_AGAIN = 0.5 * math.pi, 2, 0.3
 
 
@@ -78,7 +76,6 @@ class Driver:
         command: what was commanded last.
         spoken: what there is to say to people around, the oldest first; taken out by whoever says it.
         bearing: where the goal is seen from the robot's front, radians.
-        ahead: what is around it: see `navigation.algorithms.stopping.kernels`.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -87,11 +84,8 @@ class Driver:
         self.status = Status()
         self.command = STILL
         self.spoken: deque[str] = deque(maxlen=8)
-        self.ahead = np.array([0.0, 0.0, math.inf, math.inf, 0.0, math.inf])
-        self._slowed, self._look_ahead = kernels()
-        self._points = np.empty((0, 3))
+        self._guard = Guard(self.grid)
         self._stall = Stall()
-        self._has, self._wanted, self._blocker = np.zeros(3), np.zeros(3), np.zeros(3)
         self._task: Task | None = None
         self._aim: Aim | None = None
         self._aimed: float | None = None
@@ -192,6 +186,11 @@ class Driver:
         return self._task
 
     @property
+    def ahead(self) -> NDArray[np.float64]:
+        """What is around it: see `navigation.algorithms.stopping.kernels`."""
+        return self._guard.ahead
+
+    @property
     def way(self) -> list[tuple[float, float]]:
         """Where it drives to next, in the odometry's frame; nothing where it goes straight to the goal."""
         return [] if self._aim is None or self._aim.direct else [(self._aim.x, self._aim.y)]
@@ -225,26 +224,18 @@ class Driver:
         passed = 0.0 if self._now is None else min(max(0.0, now - self._now), 1.0)
         self._now = now
         self._passed = passed
-        self._follow(passed)
+        self._guard.follow(self.settings, self.command, passed)
+        if moved is not None:
+            self._guard.measure(self.settings, now, moved)
         moved = moved or pose
         if moved is not None:
             if self._moved is not None and self._moved.distance(moved) > _JUMP + 2.0 * passed:
                 self.grid.clear()
+                self._guard.forget()
             self._moved = moved
-            self._stall.add(now, passed, self._has, moved)
+            self._stall.add(now, passed, self._guard.has, moved)
         self.command = self._chosen(now, passed, pose, moved, why)
         return self.command
-
-    def _follow(self, passed: float) -> None:
-        """How fast the base goes by now, by what it was commanded."""
-        limits = self.settings
-        dx, dy = self.command.vx - self._has[0], self.command.vy - self._has[1]
-        change, most = math.hypot(dx, dy), limits.linear_acceleration * passed
-        share = min(1.0, most / change) if change else 1.0
-        self._has[0] += dx * share
-        self._has[1] += dy * share
-        most = limits.angular_acceleration * passed
-        self._has[2] += min(most, max(-most, self.command.omega - self._has[2]))
 
     def _chosen(self, now: float, passed: float, pose: Pose | None, moved: Pose | None, why: str) -> Command:
         if self.status.state is State.PAUSED:
@@ -338,7 +329,7 @@ class Driver:
             return STILL
         ramp = min(1.0, max(0.05, (now - self._removed_at) / RAMP))
         wanted = drive(self.settings, limits, distance, beta, float(self.ahead[3]), ramp, through=task.asked.through)
-        most = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - _FAST_ROOM)
+        most = people_speed(self.settings, float(self.ahead[2]) - self.settings.robot_radius - FAST_ROOM)
         share = min(1.0, most / wanted.speed) if wanted.speed else 1.0
         return Command(wanted.vx * share, wanted.vy * share, wanted.omega)
 
@@ -361,23 +352,22 @@ class Driver:
         settings = self.settings
         length = settings.max_detection_distance
         if settings.dynamic_distance:
-            length *= min(1.0, float(np.hypot(self._has[0], self._has[1])) / max(settings.max_lin_speed, 1e-3))
+            length *= min(
+                1.0, float(np.hypot(self._guard.has[0], self._guard.has[1])) / max(settings.max_lin_speed, 1e-3)
+            )
         length = max(length, settings.min_detection_distance)
         if self.status.state is State.WAITING:
             length = max(length, self._length)  # what stopped it from afar is not gone because it stands
         self._length = length
         radius = settings.robot_radius
-        self._look_ahead(
-            self.grid.points, self.grid.count, moved.x, moved.y, moved.theta, beta,
-            min(length, distance + radius), radius, radius, settings.frontal_blind_angle, self.ahead,
-        )  # fmt: skip
+        self._guard.look(settings, moved, beta, min(length, distance + radius))
         reason = ""
         if limits.avoid:
             if towards.blocked < max(length, radius + 0.2):
                 reason = "the way is blocked"
             elif limits.stop and self.ahead[1] >= 2:
                 reason = "somebody crosses the way"
-            elif people_speed(settings, self.ahead[2] - radius - _FAST_ROOM) < 0.02:
+            elif people_speed(settings, self.ahead[2] - radius - FAST_ROOM) < 0.02:
                 reason = "somebody is too near"
         elif limits.stop and self.ahead[0] >= 2:
             reason = "there is an obstacle on the way"
@@ -413,26 +403,8 @@ class Driver:
     # the guard
 
     def _guarded(self, now: float, moved: Pose, wanted: Command) -> Command:
-        """No faster than the robot can stop before what is around it, seen or not seen for long."""
-        if wanted == STILL:
-            return STILL
-        settings = self.settings
-        cells, unsure = self.grid.unsure(moved, now)
-        count = self.grid.count + unsure
-        if len(self._points) < count:
-            self._points = np.empty((2 * count, 3))
-        self._points[: self.grid.count] = self.grid.points[: self.grid.count]
-        self._points[self.grid.count : count] = cells[:unsure]
-        self._wanted[:] = wanted
-        scale = self._slowed(
-            self._points, count, moved.x, moved.y, moved.theta, self._has, self._wanted, settings.reaction,
-            settings.linear_acceleration, settings.angular_acceleration, settings.robot_radius,
-            _CREEP_ROOM, _FAST_ROOM, settings.max_lin_speed, self._blocker,
-        )  # fmt: skip
-        if wanted.speed * scale < _LEAST:
-            scale = 0.0
-        slowed = Command(wanted.vx * scale, wanted.vy * scale, wanted.omega)
-        unseen = scale <= _BARELY and wanted.speed and self._blocker[2] == UNKNOWN
+        slowed = self._guard.allowed(self.settings, now, moved, wanted)
+        unseen = wanted.speed and self._guard.unseen
         if (unseen or self._look_left > 0.0) and self._task is not None and self._retreat <= 0.0:
             return self._look(now, moved, slowed)
         return slowed
@@ -445,9 +417,9 @@ class Driver:
             if self._looks >= _LOOKS:
                 unseen = "the laser cannot see where the way leads"
                 return slowed if slowed.speed else self._wait(now, unseen, Fault.BLOCKED)
-            bearing = math.atan2(self._blocker[1] - moved.y, self._blocker[0] - moved.x) - moved.theta
+            bearing = math.atan2(self._guard.blocker[1] - moved.y, self._guard.blocker[0] - moved.x) - moved.theta
             self._look_way = math.copysign(1.0, wrapped(bearing))
             self._look_left = _LOOK
             self._looks += 1
-        self._look_left -= abs(self._has[2]) * self._passed
+        self._look_left -= abs(self._guard.has[2]) * self._passed
         return Command(omega=self._look_way * self.settings.max_ang_speed)

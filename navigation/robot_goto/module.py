@@ -217,7 +217,7 @@ class RobotGoto(Module):
         pose = self._pose_now()
         moved = self._moved(pose)
         try:
-            command = self.driver.step(self.now(), pose, moved, self._lost)
+            command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
         except BaseException:
             self._told.stand_still()
             raise
