@@ -11,8 +11,8 @@ help: ## list the targets
 setup: ## install what is missing; done by the others
 	@scripts/setup.sh
 
-demo: setup ## real ROS 1, ROS 2 and zenoh programs, bridged (STAY=1 stays, JSON=FILE writes what was seen)
-	@$(BIN)/midspan demo $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
+demo: setup ## a simulated R1 sent to rooms by YARP, ROS 1 and ROS 2 clients (STAY=1 stays, JSON=FILE, PNG=FILE write)
+	@$(BIN)/midspan demo $(if $(PNG),--png '$(PNG)') $(if $(filter-out 0,$(STAY)),--stay) $(if $(JSON),--json '$(JSON)')
 
 mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE writes the table)
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')

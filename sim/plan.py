@@ -147,6 +147,12 @@ class Plan(Section):
         """The floor on which the robot begins."""
         return next(iter(self.floors))
 
+    @property
+    def without_people(self) -> Plan:
+        """The same building with nobody in it."""
+        empty = {name: floor.model_copy(update={"people": ()}) for name, floor in self.floors.items()}
+        return self.model_copy(update={"floors": empty})
+
     @model_validator(mode="after")
     def _links_lead_somewhere(self) -> Plan:
         for link in self.links:

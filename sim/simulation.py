@@ -83,7 +83,8 @@ class Simulation:
 
     def __init__(self, section: SimSection, plan: Plan | None = None, described: robot.Robot | None = None) -> None:
         self.section = section
-        self.plan = plan or plans.load(section.plan, section.resolution)
+        whole = plan or plans.load(section.plan, section.resolution)
+        self.plan = whole if section.people else whole.without_people
         self.robot = described or robot.load(section.robot)
         self.time_ns = 0
         self.begin()

@@ -52,10 +52,8 @@ def world(name: str, *, people: bool = True) -> World:
     building, _, level = name.partition("/")
     whole = plans.load(building)
     floor = level or whole.first
-    there = whole.floors[floor]
-    if not people:
-        there = there.model_copy(update={"people": ()})
-    plan = Plan(name=whole.name, floors={floor: there})
+    plan = Plan(name=whole.name, floors={floor: whole.floors[floor]})
+    plan = plan if people else plan.without_people
     grid = export.grid(plan, floor)
     areas = KEEP_OUT.get(name, ())
     for x0, y0, x1, y1 in areas:

@@ -46,6 +46,6 @@ VERBS: dict[str, Verb] = {
     "interfaces": Verb("bridge.cli.interfaces", "build ROS 2 message packages that are missing"),
     "keys": Verb("bridge.cli.keys", "make and show the certificates by which machines know each other"),
     "install": Verb("bridge.cli.install", "put the systemd services in place"),
-    "demo": Verb("bridge.cli.demo", "real programs of every side, bridged, with a live table"),
+    "demo": Verb("bridge.cli.demo", "a simulated robot sent to rooms by YARP, ROS 1 and ROS 2 clients"),
     "completion": Verb("bridge.cli.completion", "print a shell completion script"),
 }

@@ -41,9 +41,10 @@ class Place:
     Args:
         template: configuration file whose rules the demo's daemon runs with; what names the place is replaced.
         more: configuration laid over the template's.
+        ports: whether topics have YARP ports, as the demo's YARP program expects them.
     """
 
-    def __init__(self, template: Path | None, more: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, template: Path | None, more: Mapping[str, Any] | None = None, *, ports: bool = True) -> None:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
@@ -54,7 +55,7 @@ class Place:
             self.system_path.mkdir()
             (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
             self.config_file = self.folder / "demo.yaml"
-            self.config = self._write_config(template, more or {})
+            self.config = self._write_config(template, more or {}, ports=ports)
         except BaseException:
             self.close()
             raise
@@ -114,13 +115,13 @@ class Place:
             self._hold.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _write_config(self, template: Path | None, more: Mapping[str, Any]) -> Config:
+    def _write_config(self, template: Path | None, more: Mapping[str, Any], *, ports: bool) -> Config:
         base: dict[str, Any] = {}
         if template is not None:
             load(template)  # its mistakes are told with file and line
             base = yaml.safe_load(template.read_text(encoding="utf-8")) or {}
         base = _merged(base, more)
-        if not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
+        if ports and not (base.get("yarp") or {}).get("topics"):  # what the demo's YARP program expects on its ports
             shipped = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["yarp"]
             base = _merged(base, {"yarp": shipped})
         own = {

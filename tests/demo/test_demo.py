@@ -14,6 +14,8 @@ from typing import Any
 
 import psutil
 import pytest
+import yaml
+from PIL import Image
 
 from bridge.config.model import Config
 from bridge.demo import requirements
@@ -21,6 +23,7 @@ from bridge.demo.place import MARK
 from tests.support.wait import until
 
 ROOT = Path(__file__).parents[2]
+CONFIGS = ROOT / "configs"
 
 pytestmark = [
     pytest.mark.real,
@@ -35,11 +38,11 @@ def folder() -> Iterator[Path]:
         yield Path(name)
 
 
-def start(folder: Path, *options: str) -> subprocess.Popen[str]:
+def start(folder: Path, *options: str, what: str = "topics") -> subprocess.Popen[str]:
     """The demo as a user starts it, with a folder of its own for temporary files."""
     env = {k: v for k, v in os.environ.items() if k not in ("STAY", "JSON")}
     env |= {"TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "bridge.cli.main", "demo", *options]
+    command = [sys.executable, "-m", "bridge.cli.main", "demo", what, *options]
     return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
@@ -55,10 +58,10 @@ def processes_of(folder: Path) -> list[str]:
     return found
 
 
-def run(folder: Path, *options: str) -> tuple[int, str, dict[str, Any]]:
+def run(folder: Path, *options: str, what: str = "topics") -> tuple[int, str, dict[str, Any]]:
     """Run the demo to its end: exit code, output, the JSON file's content."""
     file = folder / "seen.json"
-    demo = start(folder, "--json", str(file), *options)
+    demo = start(folder, "--json", str(file), *options, what=what)
     try:
         output, _ = demo.communicate(timeout=100)
     finally:
@@ -122,4 +125,37 @@ def test_a_wrong_configuration_is_told_before_anything_starts(folder: Path) -> N
     assert code == 1
     assert "wrong.yaml:2" in output
     assert "rules" in output
+    assert leftovers(folder) == []
+
+
+PLACES = """Version:
+4
+Locations:
+first apartment 3.0 7.7 -90.0 ""
+second apartment 3.0 7.2 -90.0 ""
+third apartment 3.0 6.7 -90.0 ""
+Objects:
+Areas:
+Paths:
+"""
+
+
+def test_clients_of_three_sides_send_the_robot_to_rooms(folder: Path) -> None:
+    """As configs/navigation.yaml has it, to places that are near."""
+    config = yaml.safe_load((CONFIGS / "navigation.yaml").read_text())
+    (folder / "near.ini").write_text(PLACES)
+    config["store"] = {"maps": str(CONFIGS / config["store"]["maps"]), "locations": str(folder / "near.ini")}
+    (folder / "near.yaml").write_text(yaml.safe_dump(config))
+    drawn = folder / "way.png"
+    options = ("--config", str(folder / "near.yaml"), "--png", str(drawn), "--to", "first", "second", "third")
+    code, output, seen = run(folder, *options, what="rooms")
+    assert code == 0, output
+    assert [(drive["client"], drive["reached"]) for drive in seen["drives"]] == [
+        ("YARP", True),
+        ("ROS 1", True),
+        ("ROS 2", True),
+    ]
+    assert "##" in output  # the map
+    with Image.open(drawn) as picture:
+        assert picture.width > 500
     assert leftovers(folder) == []

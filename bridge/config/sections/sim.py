@@ -58,6 +58,7 @@ class SimSection(Section):
     start: tuple[float, float, float] | None = Field(
         default=None, description="Where the robot begins: x, y (metres), direction (degrees); empty: as the plan says."
     )
+    people: bool = Field(default=True, description="Whether the plan's people walk about.")
     speed: float | Literal["max", "step"] = Field(
         default=1.0,
         description="`1.0`: real time, or so many times as fast; `max`: as fast as possible; `step`: only when a client"

@@ -1,0 +1,79 @@
+"""What the demo that drives shows: the map with the robot, live on a terminal and as lines elsewhere; the drives."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from bridge.cli.console import make_console
+from bridge.demo.course import Course
+from bridge.demo.rooms import Drive, Result
+
+_LIVE_EVERY, _PLAIN_EVERY = 0.3, 2.0
+_WIDEST = 100
+
+
+class RoomsView:
+    """The output of one run."""
+
+    def __init__(self) -> None:
+        self._console = make_console()
+        self._live: Live | None = None
+        self._shown, self._began = -_PLAIN_EVERY, time.monotonic()
+        self._doing = ""
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, auto_refresh=False, vertical_overflow="crop", transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def tick(self, doing: str, course: Course) -> None:
+        """Show what the demo is at, and where the robot is."""
+        now = time.monotonic()
+        begins = doing.partition(":")[0] != self._doing
+        if not begins and now - self._shown < (_LIVE_EVERY if self._live else _PLAIN_EVERY):
+            return
+        self._shown, self._doing = now, doing.partition(":")[0]
+        words = course.words()
+        line = f"{now - self._began:5.1f} s  {doing}  |  {words['where']}  {words['left']}  {words['state']}"
+        if self._live is not None:
+            self._live.update(Group(*course.picture(self._width(), coloured=True), Text(line)), refresh=True)
+        else:
+            self._console.print(Text(line))
+
+    def show(self, result: Result, course: Course) -> None:
+        """Print the map and the drives."""
+        for line in course.picture(self._width(), coloured=self._console.is_terminal):
+            self._console.print(line)
+        table = Table(title="Who sent the robot where", title_justify="left")
+        for column in ("", "client", "to", "seconds", "off the place", "the client's last word"):
+            table.add_column(column, overflow="fold")
+        for drive in result.drives:
+            table.add_row(*_row(drive))
+        self._console.print(table)
+        verdict = "every client's robot came to its room" if result.ok else "not every room was reached"
+        self._console.print(Text(verdict, style="bold green" if result.ok else "bold red"))
+
+    def say(self, text: str) -> None:
+        """Print one line."""
+        self._console.print(Text(text))
+
+    def _width(self) -> int:
+        return min(_WIDEST, self._console.width)
+
+
+def _row(drive: Drive) -> tuple[Text, ...]:
+    mark = Text("ok", style="green") if drive.reached else Text("NO", style="bold red")
+    return mark, *map(Text, (drive.client, drive.room, f"{drive.seconds:.0f}", f"{drive.off:.2f} m", drive.said))
