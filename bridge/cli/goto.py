@@ -152,7 +152,8 @@ class Progress:
 
 def _drive(sent: SentGoal, goal: dict[str, Any], progress: Progress, timeout: float | None) -> int:
     if not progress.as_json:
-        print(f"to {clean(place_text(goal['pose']))}", flush=True)
+        anyhow = ", in any heading" if "behavior_tree" in goal else ""
+        print(f"to {clean(place_text(goal['pose'], heading=not anyhow))}{anyhow}", flush=True)
     interrupted = False
     try:
         sent.begin(goal)

@@ -101,10 +101,10 @@ def place_of(stamped: dict[str, Any]) -> tuple[str, float, float, float]:
     return stamped["header"]["frame_id"], at["x"], at["y"], math.degrees(yaw_of(turn))
 
 
-def place_text(stamped: dict[str, Any]) -> str:
-    """A ``PoseStamped`` in words."""
+def place_text(stamped: dict[str, Any], *, heading: bool = True) -> str:
+    """A ``PoseStamped`` in words, with its heading or without."""
     frame, x, y, theta = place_of(stamped)
-    return f"{x:.2f}, {y:.2f} m, {theta:.0f} degrees in {frame}"
+    return f"{x:.2f}, {y:.2f} m" + (f", {theta:.0f} degrees" if heading else "") + f" in {frame}"
 
 
 def state_text(status: dict[str, Any]) -> str:

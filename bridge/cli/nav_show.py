@@ -45,13 +45,13 @@ def show(client: Client, told: dict[str, Any], way: list[dict[str, Any]], args: 
     places: dict[str, Map2DLocation] = {}
     frame, x, y, theta = place_of(told["goal"])
     if frame in (navigation.frame, grid.name):
-        places["goal"] = Map2DLocation(grid.name, x, y, theta)
+        places["goal"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
     try:
         x, y, theta = robot_pose(client, navigation.frame, navigation.base_frame)
     except CliError as err:
         print(f"# {err}", file=sys.stderr)
     else:
-        places["robot"] = Map2DLocation(grid.name, x, y, theta)
+        places["robot"] = Map2DLocation(grid.name, round(x, 2), round(y, 2), round(theta))
     line = [(x, y) for _, x, y, _ in map(place_of, way)]
     if line and "robot" in places:
         line.insert(0, (places["robot"].x, places["robot"].y))

@@ -131,7 +131,8 @@ def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
         assert "heading" in goal.goal["behavior_tree"]
         rig.planner.reach(goal)
 
-    assert beside(midspan, ["1", "2"], take).code == 0
+    outcome = beside(midspan, ["1", "2"], take)
+    assert (outcome.code, outcome.out.splitlines()[0]) == (0, "to 1.00, 2.00 m in map, in any heading")
 
 
 def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> None:
