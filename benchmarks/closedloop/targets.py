@@ -74,6 +74,15 @@ class Targets:
         corners = shortcut(weights, found.cells)
         return float(np.hypot(*np.diff(corners, axis=0).T).sum()) * self._resolution
 
+    def _is_somebodys(self, goal: Pose) -> bool:
+        """Whether people turn round and rest there: the robot would wait for them until they are elsewhere."""
+        people = [walker.person for walker in self._robot.simulation.world.people.values()]
+        return any(
+            math.dist((goal.x, goal.y), point) < self._robot.radius + person.radius + _ROOM
+            for person in people
+            for point in (person.at, *person.path)
+        )
+
     def __iter__(self) -> Iterator[tuple[Pose, float]]:
         """Goals, each with the length of the shortest way from where the robot then is."""
         rows, columns = np.nonzero(self._around > self._robot.radius + _ROOM)
@@ -81,7 +90,7 @@ class Targets:
             place = int(self._random.integers(len(rows)))
             x, y = self._world.map.centers_of([(columns[place], rows[place])])[0]
             goal = Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
-            way = self.way(self._robot.truth, goal)
+            way = math.inf if self._is_somebodys(goal) else self.way(self._robot.truth, goal)
             if math.isfinite(way) and _LEAST <= way <= self._farthest:
                 yield goal, way
         msg = f"no goal in {self._world.name} can be reached from {self._robot.truth}"

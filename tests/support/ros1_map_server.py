@@ -1,0 +1,40 @@
+"""A stand-in for ROS 1's map_server: one map of a YAML file, latched on /map.
+
+ros1_map_server.py apartment.yaml
+"""
+
+import sys
+from pathlib import Path
+
+import rospy
+import yaml
+from nav_msgs.msg import OccupancyGrid
+
+
+def pixels(file):
+    """Width, height and bytes of a binary PGM."""
+    words = file.read_bytes()
+    parts, rest = [], words
+    while len(parts) < 4:
+        line, _, rest = rest.partition(b"\n")
+        parts += line.partition(b"#")[0].split()
+    return int(parts[1]), int(parts[2]), rest
+
+
+file = Path(sys.argv[1])
+said = yaml.safe_load(file.read_text())
+width, height, grey = pixels(file.with_name(said["image"]))
+rospy.init_node("map_server")
+grid = OccupancyGrid()
+grid.header.frame_id = "map"
+grid.header.stamp = rospy.Time.now()
+grid.info.resolution, grid.info.width, grid.info.height = said["resolution"], width, height
+grid.info.origin.position.x, grid.info.origin.position.y = said["origin"][:2]
+grid.info.origin.orientation.w = 1.0
+for row in reversed(range(height)):
+    for value in grey[row * width : (row + 1) * width]:
+        dark = (255 - value) / 255.0
+        grid.data.append(100 if dark > said["occupied_thresh"] else 0 if dark < said["free_thresh"] else -1)
+publisher = rospy.Publisher("map", OccupancyGrid, queue_size=1, latch=True)
+publisher.publish(grid)
+rospy.spin()
