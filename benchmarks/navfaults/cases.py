@@ -31,7 +31,8 @@ class Fault:
         lasts: seconds of it.
         limit: seconds until the wheels should stand; infinite where the robot is to drive on.
         says: what the reason that the client hears contains.
-        ends: how the goal should end; None: the fault ends before, and the goal is reached.
+        ends: how the goal should end; None: that depends.
+        tries: whether the robot may try for a moment meanwhile whether it is over.
     """
 
     key: str
@@ -40,6 +41,7 @@ class Fault:
     limit: float
     says: str = ""
     ends: Status | None = Status.SUCCEEDED
+    tries: bool = False
 
     def happen(self, chain: Chain, place: str) -> Outcome:
         """Drive to a place, have it happen on the way, and see what comes of it."""
@@ -66,7 +68,7 @@ class Fault:
             assert now is not None
             found.way = math.dist((x, y), (now.x, now.y))
             time.sleep(max(0.0, began + self.lasts - time.monotonic()))
-            if math.isfinite(self.limit) and not (chain.truth and chain.truth.still):
+            if math.isfinite(self.limit) and not self.tries and not (chain.truth and chain.truth.still):
                 found.wrong = found.wrong or "it drove again before the fault was over"
         over = time.monotonic()
         if self.ends is Status.SUCCEEDED and math.isfinite(self.limit):
@@ -171,9 +173,12 @@ def _switch(chain: Chain, module: str, *, on: bool) -> None:
     os.kill(chain.daemon.pid, signal.SIGHUP)
 
 
-def _halt(chain: Chain) -> None:
+@contextmanager
+def _halt(chain: Chain) -> Iterator[None]:
     command = [sys.executable, "-m", "bridge.cli.main", "halt", "--config", str(chain.file)]
-    subprocess.run(command, check=True, capture_output=True, timeout=30)
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as halting:
+        yield
+        halting.wait(30)
 
 
 def _elsewhere(chain: Chain) -> None:
@@ -184,17 +189,17 @@ FAULTS = (
     Fault("laser silent", _sensor("laser_silent"), 4.0, 1.5, "laser"),
     Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5),
     Fault("odometry silent", _sensor("encoders_silent"), 4.0, 1.5, "odom"),
-    Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 5.0),
+    Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 3.0, "does not follow", tries=True),
     Fault("localiser switched off", _without("localization_server"), 5.0, 3.5, "stale"),
     Fault("robot_goto switched off", _without("robot_goto"), 3.0, 1.5, "robot_goto"),
     Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=Status.ABORTED),
     Fault("base_control switched off", _without("base_control"), 4.0, 1.5),
-    Fault("emergency stop", _emergency, 4.0, 1.5),
+    Fault("emergency stop", _emergency, 4.0, 1.5, "does not follow"),
     Fault("modules killed", _killed("robot_path_planner"), 3.0, 1.5, ends=Status.ABORTED),
     Fault("modules stand still", _frozen("robot_path_planner"), 3.0, 1.5, ends=None),
     Fault("yarp worker killed", _killed("yarp"), 2.0, math.inf),
     Fault("router killed", _killed("router"), 2.0, math.inf),
-    Fault("halt", _once(_halt), 2.0, 1.5, ends=Status.CANCELED),
-    Fault("localisation lost", _once(_elsewhere), 8.0, 5.0, ends=None),
-    Fault("simulator killed", _killed("sim"), 5.0, 1.5, ends=None),
+    Fault("halt", _halt, 4.0, 2.5, ends=Status.CANCELED),
+    Fault("localisation lost", _once(_elsewhere), 8.0, 3.0, "localisation says", tries=True),
+    Fault("simulator killed", _killed("sim"), 5.0, math.inf, ends=None),
 )

@@ -140,11 +140,17 @@ class ActionServer:
         node.server(names.get_result, types.get_result, self._asked)
         node.server(names.cancel_goal, CANCEL, self._cancelled)
         node.server(names.send_goal, types.send_goal, self._sent)
+        self._clients_of = names.send_goal
 
     @property
     def active(self) -> list[Goal]:
         """The goals that have not ended, the oldest first."""
         return list(self._active.values())
+
+    @property
+    def clients(self) -> int:
+        """How many there are on the hub who could send goals."""
+        return len(self._node.hub.graph.clients(self._clients_of))
 
     def publish_feedback(self, goal_id: bytes, feedback: Mapping[str, Any]) -> None:
         """Tell how far a goal is."""

@@ -137,6 +137,7 @@ class Driver:
             seconds: for how long.
         """
         self._clear()
+        self._stall.clear()
         speed = min(abs(speed), self.settings.max_lin_speed)
         back = math.cos(direction) < 0.0
         if not self.settings.holonomic:
@@ -232,6 +233,7 @@ class Driver:
             if self._moved is not None and self._moved.distance(moved) > _JUMP + 2.0 * passed:
                 self.grid.clear()
                 self._guard.forget()
+                self._stall.clear()
             self._moved = moved
             self._stall.add(now, passed, self._guard.has, moved)
         self.command = self._chosen(now, passed, pose, moved, why)

@@ -17,6 +17,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
+from navigation.clients import GONE, Clients
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
 from navigation.maps.grid import from_grid
@@ -67,6 +68,7 @@ class RobotGoto(Module):
             host.node.subscription(section.scan, SCAN, self._scanned, Qos(depth=1))
         host.node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
         self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
+        Clients(host, self._server, lambda: self._give_up(GONE))
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         self._offer(host, section)
         host.on_jump(self._forget)
@@ -162,6 +164,13 @@ class RobotGoto(Module):
         if goal is not None:
             goal.canceled(_result(Fault.NONE, reason))
         self._tell(None)
+
+    def _give_up(self, why: str) -> None:
+        """Stand still although nobody cancelled the goal."""
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            goal.abort(_result(Fault.NO_NAVIGATOR, why))
+        self.stop_driving(why)
 
     def halt(self) -> dict[str, Any]:
         """Give the goal up, whoever sent it."""
@@ -294,10 +303,7 @@ class RobotGoto(Module):
 
     def stop(self) -> None:
         """Stand still."""
-        goal, self._goal = self._goal, None
-        if goal is not None:  # nobody cancelled it
-            goal.abort(_result(Fault.NO_NAVIGATOR, "RobotGoto is stopped"))
-        self.stop_driving("RobotGoto is stopped")
+        self._give_up("RobotGoto is stopped")
         if self._connected is not None:
             self._connected.close()
 

@@ -18,6 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP
 from bridge.worker import Health
+from navigation.clients import GONE, Clients
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
 from navigation.maps.grid import from_grid
@@ -102,6 +103,7 @@ class RobotPathPlanner(Module):
     def _offer(self) -> None:
         host, prefix = self._host, self._section.prefix
         self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
+        Clients(host, self._server, lambda: self._give_up(GONE))
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         if prefix:
@@ -166,6 +168,16 @@ class RobotPathPlanner(Module):
         """The map with the way, as PNG in base64."""
         file = png(self.planner, self._pose_now())
         return {"png": base64.b64encode(file).decode() if file else "", "status": self.planner.status.state.value}
+
+    def _give_up(self, why: str) -> None:
+        """Stand still although nobody cancelled the goal."""
+        self._abort(why)
+        self.stop_driving(why)
+
+    def _abort(self, why: str) -> None:
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            goal.abort(_result(Fault.NO_NAVIGATOR, why))
 
     # the hub's action
 
@@ -325,9 +337,7 @@ class RobotPathPlanner(Module):
 
     def stop(self) -> None:
         """Have the robot stand still, and hear no more."""
-        goal, self._goal = self._goal, None
-        if goal is not None:  # nobody cancelled it
-            goal.abort(_result(Fault.NO_NAVIGATOR, "the planner is stopped"))
+        self._abort("the planner is stopped")
         self.planner.cancel("the planner is stopped")
         self._step()
         for close in self._closing:
