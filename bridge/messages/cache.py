@@ -7,6 +7,7 @@ import logging
 import os
 import stat
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,8 @@ import numba
 
 _log = logging.getLogger(__name__)
 _njit: Any = numba.njit
+_setting = threading.RLock()
+"""Held while numba's folder, which is the process's, is set for one function: modules compile on threads of their own."""
 
 
 def compiled(
@@ -30,16 +33,17 @@ def compiled(
         options: of ``make``.
     """
     config: Any = numba.config
-    before = config.CACHE_DIR
     folder = cache_folder(sources)
-    try:
-        config.CACHE_DIR = "" if folder is None else str(folder)
-        return make(signature, cache=folder is not None, **options)(function)
-    except OSError as err:
-        _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
-        return make(signature, **options)(function)
-    finally:
-        config.CACHE_DIR = before
+    with _setting:
+        before = config.CACHE_DIR
+        try:
+            config.CACHE_DIR = "" if folder is None else str(folder)
+            return make(signature, cache=folder is not None, **options)(function)
+        except OSError as err:
+            _log.warning("compiled code cannot be kept in %s: %s; each start compiles it anew", folder, err.strerror)
+            return make(signature, **options)(function)
+        finally:
+            config.CACHE_DIR = before
 
 
 def entry_point(compiled_function: Any, signature: Any) -> Callable[..., Any]:

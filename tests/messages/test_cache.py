@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
 
-from bridge.messages.cache import cache_folder
+from bridge.messages.cache import cache_folder, compiled
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -64,6 +68,37 @@ def test_a_folder_that_others_can_write_is_not_used(
     folder = cache_folder(sources)
     assert folder is not None
     assert tmp_path / "given" in folder.parents
+
+
+def test_threads_that_compile_at_once_keep_to_their_own_folders(sources: list[Path]):
+    """numba has one folder for the whole process, and modules compile on threads of their own."""
+    before, inside, seen = numba.config.CACHE_DIR, threading.Semaphore(0), dict[str, set[str]]()
+
+    def compiling(_signature: None, *, cache: bool) -> Callable[[Any], Any]:
+        assert cache
+        inside.release()
+
+        def make(function: Callable[[], None]) -> Callable[[], None]:
+            name = threading.current_thread().name
+            found = seen.setdefault(name, set())
+            found.add(numba.config.CACHE_DIR)
+            inside.acquire()
+            inside.acquire(timeout=0.2)  # another one that gets here at the same time
+            found.add(numba.config.CACHE_DIR)
+            return function
+
+        return make
+
+    def run(source: Path) -> None:
+        compiled(lambda: None, None, [source], compiling)
+
+    threads = [threading.Thread(target=run, args=(source,), name=source.name) for source in sources]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+    assert seen == {source.name: {str(cache_folder([source]))} for source in sources}
+    assert numba.config.CACHE_DIR == before
 
 
 def test_converters_are_loaded_from_it(tmp_path: Path):
