@@ -17,7 +17,7 @@ import numba
 _log = logging.getLogger(__name__)
 _njit: Any = numba.njit
 _setting = threading.RLock()
-"""Held while numba's folder, which is the process's, is set for one function: modules compile on threads of their own."""
+"""Held while numba's folder, the process's only one, is set for one function: modules compile on their own threads."""
 
 
 def compiled(

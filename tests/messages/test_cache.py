@@ -71,7 +71,7 @@ def test_a_folder_that_others_can_write_is_not_used(
 
 
 def test_threads_that_compile_at_once_keep_to_their_own_folders(sources: list[Path]):
-    """numba has one folder for the whole process, and modules compile on threads of their own."""
+    """Numba has one folder for the whole process, and modules compile on threads of their own."""
     before, inside, seen = numba.config.CACHE_DIR, threading.Semaphore(0), dict[str, set[str]]()
 
     def compiling(_signature: None, *, cache: bool) -> Callable[[Any], Any]:
@@ -98,7 +98,7 @@ def test_threads_that_compile_at_once_keep_to_their_own_folders(sources: list[Pa
     for thread in threads:
         thread.join(20)
     assert seen == {source.name: {str(cache_folder([source]))} for source in sources}
-    assert numba.config.CACHE_DIR == before
+    assert before == numba.config.CACHE_DIR
 
 
 def test_converters_are_loaded_from_it(tmp_path: Path):
