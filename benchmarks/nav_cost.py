@@ -1,0 +1,70 @@
+"""What the navigation of one robot costs: shares of a core of each process, idle and driving, at a laser of 10 Hz.
+
+The whole deployment, `midspan run` with simulator, base control, localiser, RobotGoto, RobotPathPlanner and gateway.
+The "peer" of a row is what is meant to be enough: 40 % of a core for all modules while they drive.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import psutil
+
+from benchmarks.rows import Row, add_json_option, report
+from tests.support.chain import Chain
+
+_ENOUGH = {"modules": 40.0, "sim": 25.0, "yarp": 10.0, "router": 5.0, "daemon": 2.0}
+"""Percent of a core."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement (default 10)")
+    add_json_option(parser)
+    args = parser.parse_args(arguments)
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="midspan-nav-cost-") as folder, Chain(Path(folder)) as chain:
+        chain.start()
+        chain.until(lambda: chain.truth is not None, "the robot is there")
+        time.sleep(3.0)  # what is compiled and opened at the start is no cost of a rest
+        rows += _rows("idle", _shares(chain, args.seconds))
+        chain.goto("kitchen")
+        chain.until_moving()
+        rows += _rows("driving", _shares(chain, args.seconds))
+    report(rows, args.json)
+    return 0
+
+
+def _rows(what: str, shares: dict[str, float]) -> list[Row]:
+    return [Row(f"{what}: {name}", share, _ENOUGH[name], "%") for name, share in shares.items()]
+
+
+def _shares(chain: Chain, seconds: float) -> dict[str, float]:
+    """Percent of a core of each process."""
+    assert chain.daemon is not None
+    daemon = psutil.Process(chain.daemon.pid)
+    processes = {"daemon": daemon}
+    for child in daemon.children(recursive=True):
+        processes |= {name: child for name in _ENOUGH if name in child.cmdline()}
+    before = {name: _spent(process) for name, process in processes.items()}
+    began = time.monotonic()
+    time.sleep(seconds)
+    passed = time.monotonic() - began
+    return {name: 100.0 * (_spent(process) - before[name]) / passed for name, process in processes.items()}
+
+
+def _spent(process: psutil.Process) -> float:
+    times = process.cpu_times()
+    return float(times.user + times.system)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
