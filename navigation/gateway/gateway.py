@@ -224,7 +224,9 @@ class Gateway:
         if not drive.below.accepted:
             return State.PREPARING, ""
         state, why = told(drive.below.id) or (State.MOVING, "")
-        return (State.MOVING, why) if state.ended or state is State.PAUSED else (state, why)
+        if state.ended:
+            return State.MOVING, ""  # how it ended comes as the goal's result
+        return State.MOVING if state is State.PAUSED else state, why
 
     def status(self) -> Message:
         """The same as a ``midspan_msgs/NavigationStatus``."""

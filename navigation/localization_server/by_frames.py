@@ -19,13 +19,13 @@ from navigation.localization_server.messages import (
     POSE_COVARIANCE,
     POSES,
     plane_of,
-    pose_message,
     pose_of,
     spatial,
 )
 from navigation.localization_server.source import Source
 from navigation.maps.grid import to_grid
 from navigation.maps.turned import turned
+from navigation.messages import pose_message
 from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapGrid2D
 

@@ -43,14 +43,6 @@ def pose_of(message: Mapping[str, Any], stamp: int = 0) -> Pose:
     return found
 
 
-def pose_message(pose: Pose) -> Message:
-    """``geometry_msgs/Pose``."""
-    return {
-        "position": {"x": pose.x, "y": pose.y, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(pose.theta / 2.0), "w": math.cos(pose.theta / 2.0)},
-    }
-
-
 def plane_of(covariance: Any) -> Floats | None:
     """The (3, 3) of x, y and turn out of a 6x6; None where it is no covariance, or all zeros."""
     whole = np.asarray(covariance, np.float64).reshape(6, 6)

@@ -15,9 +15,9 @@ from navigation.localization_server.messages import (
     POSE_COVARIANCE,
     POSES,
     particles_cdr,
-    pose_message,
     spatial,
 )
+from navigation.messages import pose_message
 from navigation.pose import Pose
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.odometry import OdometryData

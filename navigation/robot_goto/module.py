@@ -20,16 +20,16 @@ from bridge.worker import Health
 from navigation.clients import GONE, Clients
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
+from navigation.goals import goal_of
 from navigation.maps.grid import from_grid
+from navigation.messages import pose_message
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_goto.beams import Connected, ScanError, laser_pose, moved_at, of_ros, of_yarp
 from navigation.robot_goto.device import GotoServer
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.settings import settings_of
 from navigation.robot_goto.told import PREFIX, Told, local_map
-from navigation.robot_path_planner.fault import PlanError
-from navigation.robot_path_planner.goals import goal_of
-from navigation.robot_path_planner.told import pose_message
 from navigation.status import NO_GOAL, Fault, State
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.mapgrid import MapGrid2D

@@ -9,12 +9,12 @@ import numpy as np
 
 from bridge.hub.qos import Durability, Qos
 from bridge.modules.host import Host
+from navigation.messages import pose_message
 from navigation.pose import Pose
 from navigation.robot_goto.command import STILL, Command, Status
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
 from navigation.robot_goto.steering import INFLUENCE
-from navigation.robot_path_planner.told import pose_message
 from navigation.status import NO_GOAL, STATUS, status_message
 
 PREFIX = "/planner/robot_goto"

@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from navigation.goals import Place
 from navigation.pose import Pose
-from navigation.robot_path_planner.itinerary import Place
 from navigation.robot_path_planner.planner import PathPlanner
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath

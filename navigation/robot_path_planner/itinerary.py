@@ -10,19 +10,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from navigation.algorithms.astar import astar
+from navigation.goals import Place
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
-from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground
 from navigation.status import Fault
-
-
-@dataclass(frozen=True)
-class Place:
-    """A pose on a map; `name` is how people know it."""
-
-    map_name: str
-    pose: Pose
-    name: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from bridge.stores.errors import StoreError
 from bridge.stores.kinds import AREA, LINK, LOCATION, MAP
 from bridge.stores.store import Store
+from navigation.goals import Place
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
-from navigation.robot_path_planner.itinerary import Link, Place
+from navigation.robot_path_planner.itinerary import Link
 from navigation.robot_path_planner.settings import Settings
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapgrid import MapGrid2D

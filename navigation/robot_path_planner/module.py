@@ -21,19 +21,20 @@ from bridge.worker import Health
 from navigation.clients import GONE, Clients
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
+from navigation.goals import Place, goal_of
 from navigation.maps.grid import from_grid
+from navigation.messages import pose_message
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_path_planner.action_navigator import ACTION, ActionNavigator
+from navigation.robot_path_planner.clicks import goal_of_click
 from navigation.robot_path_planner.device import Device
-from navigation.robot_path_planner.fault import PlanError
-from navigation.robot_path_planner.goals import goal_of, goal_of_click
-from navigation.robot_path_planner.itinerary import Place
 from navigation.robot_path_planner.laser import SCAN, Laser
 from navigation.robot_path_planner.maps import StoreAtlas
 from navigation.robot_path_planner.picture import png
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.robot_path_planner.settings import settings_of
-from navigation.robot_path_planner.told import PREFIX, Told, pose_message
+from navigation.robot_path_planner.told import PREFIX, Told
 from navigation.robot_path_planner.words import PlannerServer
 from navigation.robot_path_planner.yarp_navigator import YarpNavigator
 from navigation.status import NO_GOAL, Fault, State

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navigation.constraints import Constraints
+from navigation.goals import Place
+from navigation.plan_error import PlanError
 from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.clutter import Clutter
-from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground
-from navigation.robot_path_planner.itinerary import Atlas, Leg, NoAtlas, Place, leg
+from navigation.robot_path_planner.itinerary import Atlas, Leg, NoAtlas, leg
 from navigation.robot_path_planner.lines import Places, blocked, cut, is_straight, length
 from navigation.robot_path_planner.local import LocalNavigator
 from navigation.robot_path_planner.settings import Settings

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, field
 
 from navigation.constraints import Constraints
-from navigation.robot_path_planner.itinerary import Leg, Place
+from navigation.goals import Place
+from navigation.robot_path_planner.itinerary import Leg
 from navigation.robot_path_planner.way import Waypoint
 
 

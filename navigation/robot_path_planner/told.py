@@ -7,6 +7,7 @@ from typing import Any
 
 from bridge.hub.qos import Durability, Qos
 from bridge.modules.host import Host
+from navigation.messages import pose_message
 from navigation.pose import Pose
 from navigation.robot_path_planner.picture import draw
 from navigation.robot_path_planner.planner import PathPlanner, Status
@@ -100,12 +101,3 @@ class Told:
 
     def _header(self) -> Message:
         return {"stamp": self._host.clock.stamp(), "frame_id": self._frame}
-
-
-def pose_message(pose: Pose) -> Message:
-    """``geometry_msgs/msg/Pose``; a heading that is none is 0."""
-    theta = pose.theta if math.isfinite(pose.theta) else 0.0
-    return {
-        "position": {"x": pose.x, "y": pose.y, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(theta / 2), "w": math.cos(theta / 2)},
-    }

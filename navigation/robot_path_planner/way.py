@@ -11,9 +11,9 @@ import numpy as np
 from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
 from navigation.constraints import Constraints
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_path_planner.escape import escape
-from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Cell, Ground
 from navigation.robot_path_planner.lines import Places, length, sampled
 from navigation.robot_path_planner.settings import Settings

@@ -5,6 +5,7 @@ Each fault by itself, and more of them: ``benchmarks/nav_faults.py``.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -13,6 +14,18 @@ from pathlib import Path
 from bridge.modules.goal import Status
 from tests.support.chain import Chain
 from tests.support.wait import until
+
+VIEWS = Path(__file__).parents[2] / "configs" / "views"
+
+
+def missing_topics(chain: Chain) -> set[str]:
+    """What the views of rviz and Foxglove show or say, and nobody of the deployment says or hears."""
+    graph = chain.client.node.hub.graph
+    there = {end.topic for end in (*graph.publishers(), *graph.subscriptions())}
+    texts = [file.read_text() for file in (VIEWS / "navigation.rviz", VIEWS / "navigation.foxglove.json")]
+    named = {topic for text in texts for topic in re.findall(r'(?:Value: |")(/[a-z_0-9/]+)', text)}
+    assert {"/map", "/scan", "/goal_pose"} < named
+    return named - there
 
 
 def stands_and_says(chain: Chain, fault: str, word: str) -> None:
@@ -31,6 +44,7 @@ def test_faults_on_the_way(tmp_path: Path) -> None:
         chain.start()
         asked = chain.goto("kitchen")
         chain.until_moving()
+        until(lambda: not missing_topics(chain), "all that the views in configs/ name is there", 20)
         stands_and_says(chain, "laser_silent", "laser is silent")
         stands_and_says(chain, "encoders_silent", "odometry is stale")
         assert asked.ended is None

@@ -12,8 +12,9 @@ import pytest
 
 from bridge.hub.qos import Qos
 from bridge.stores.kinds import MAP
-from navigation.localization_server.messages import POSE_COVARIANCE, pose_message, spatial
+from navigation.localization_server.messages import POSE_COVARIANCE, spatial
 from navigation.maps.grid import from_grid, yaw_of
+from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
 from tests.modules.place import Place
 from tests.navigation.localization_server.robot import LATCHED, Robot

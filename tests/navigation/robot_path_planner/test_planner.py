@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from navigation.goals import Place
 from navigation.pose import Pose
 from navigation.robot_path_planner.ground import Ground, Zone
-from navigation.robot_path_planner.itinerary import Place
 from navigation.status import Fault, State
 from tests.navigation.robot_path_planner.floors import ROOMS, Drive, floor, paint
 from tests.navigation.robot_path_planner.test_way import LIFT, Two, area

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from navigation.constraints import Constraints
+from navigation.goals import Place
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_path_planner.clutter import Clutter
-from navigation.robot_path_planner.fault import PlanError
 from navigation.robot_path_planner.ground import Ground, Zone
-from navigation.robot_path_planner.itinerary import Leg, Link, Place, leg
+from navigation.robot_path_planner.itinerary import Leg, Link, leg
 from navigation.robot_path_planner.lines import blocked, sampled
 from navigation.robot_path_planner.settings import Settings
 from navigation.robot_path_planner.way import way

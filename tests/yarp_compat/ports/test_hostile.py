@@ -291,10 +291,10 @@ def test_a_thousand_connects_leave_nothing(make_port: MakePort) -> None:
     for carrier in ("tcp", "fast_tcp", "udp", "text", "text_ack", "local"):
         cycle(carrier)
     until(lambda: not reader.inputs(), "the first are gone")
-    before = (process.num_fds(), threading.active_count())
+    files, threads = process.num_fds(), threading.active_count()  # those of the first ones may be about to end
     got.clear()
     for i in range(1000):
         cycle(("tcp", "fast_tcp", "text_ack", "local")[i % 4])
     until(lambda: not reader.inputs() and not writer.outputs(), "all connections are gone")
-    until(lambda: (process.num_fds(), threading.active_count()) == before, "nothing is left behind")
+    until(lambda: process.num_fds() <= files and threading.active_count() <= threads, "nothing is left behind", 20)
     assert len(got) == 1000

@@ -1,0 +1,126 @@
+"""The deployments of configs/ whose planner is not ours, as they are written, with stand-ins for what is ROS's.
+
+The paper's second scenario: a robot on YARP, driven by ROS 1's move_base with amcl and map_server, asked by a YARP
+client; and Nav2, asked by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.interop.deployment import Deployment
+from tests.support.ports import free_port
+from tests.support.process import Process
+from tests.support.ros1 import ROS1_PYTHON
+from tests.support.ros2 import SHORT_LEASE, ros2_domain, ros2_environment, ros2_python
+from tests.support.wait import until
+from yarp_compat.dev.inavigation2d import NavigationStatusEnum
+from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.navigation2d_client import Navigation2DClient
+from yarp_compat.naming.client import NameClient
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Reader
+from yarp_compat.sig.matrix import Matrix
+
+ROOT = Path(__file__).parents[2]
+CONFIGS, SUPPORT = ROOT / "configs", ROOT / "tests" / "support"
+APARTMENT = str(CONFIGS / "apartment" / "apartment.yaml")
+SPEED, PATIENCE = "2.0", "5.0"
+SECONDS = 40.0
+
+
+class Site:
+    """A deployment of a file, with its own ports and networks, beside the name server of a robot where it has one."""
+
+    def __init__(self, deployment: Deployment, file: str) -> None:
+        self.deployment, self._stack = deployment, ExitStack()
+        self.address = Address("127.0.0.1", free_port())
+        config: dict[str, Any] = yaml.safe_load((CONFIGS / file).read_text())
+        namespace = "/root"
+        if config["yarp"]["nameserver"] == "site":
+            self._stack.enter_context(NameServer(port=self.address.port, namespace=namespace, gc_seconds=0))
+        config["yarp"] |= {"address": f"127.0.0.1:{self.address.port}", "namespace": namespace, "poll": 0.1}
+        config["store"]["locations"] = str(CONFIGS / config["store"]["locations"])
+        config.pop("ros1", None)
+        config["ros2"] = {"domain": ros2_domain()}
+        self.names = NameClient(self.address, namespace=namespace)
+        deployment.start(**config)
+
+    def program(self, python: Any, script: str, *words: str, **env: str) -> None:
+        self.deployment.keep(Process([python, SUPPORT / script, *words], env))
+
+    def client(self) -> Navigation2DClient:
+        """A YARP program that knows of places alone."""
+        for server in ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc"):
+            until(lambda server=server: self.names.query(server), f"{server} is open", SECONDS)
+        return self._stack.enter_context(Navigation2DClient(naming=self.names, timeout=SECONDS))
+
+    def reader(self, port: str) -> Reader:
+        return self._stack.enter_context(Reader(port, naming=self.names))
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+@pytest.fixture
+def site(deployment: Deployment, request: pytest.FixtureRequest) -> Iterator[Site]:
+    made = Site(deployment, request.param)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def knows_the_map(client: Navigation2DClient) -> None:
+    """Wait until the map of the stand-in for map_server is in the store."""
+    names: list[str] = []
+    until(lambda: client.get_map_names(names) and "apartment" in names, "the map is known", SECONDS, every=0.2)
+
+
+def goes(client: Navigation2DClient, place: str) -> None:
+    """Send the robot to a place; the planner may be found a moment later than its door."""
+    until(lambda: bool(client.gotoTargetByLocationName(place)), f"{place} is taken for a goal", SECONDS, every=0.5)
+    reached = NavigationStatusEnum.navigation_status_goal_reached
+    until(lambda: client.status == reached, f"{place} is reached", SECONDS, every=0.1)
+
+
+@pytest.mark.parametrize("site", ["yarp_robot_move_base.yaml"], indirect=True)
+def test_a_robot_of_yarp_is_driven_by_move_base_and_found_by_amcl(site: Site) -> None:
+    environment = site.deployment.master.env
+    wheels = site.reader("/baseControl/control:i")
+    site.program(ROS1_PYTHON, "ros1_map_server.py", APARTMENT, **environment)
+    site.program(ROS1_PYTHON, "ros1_amcl.py", **environment)
+    site.program(ROS1_PYTHON, "ros1_move_base.py", SPEED, PATIENCE, **environment)
+    client = site.client()
+    knows_the_map(client)
+    goes(client, "kitchen")
+    here, covariance = Map2DLocation(), Matrix()
+
+    def arrived() -> bool:
+        return bool(client.getCurrentPosition(here, covariance)) and (here.x, here.y) == pytest.approx((1.6, 2.4))
+
+    until(arrived, "the frames say that it is there", SECONDS, every=0.2)
+    assert covariance.numpy().shape == (3, 3)
+    assert covariance.numpy()[0, 0] == pytest.approx(0.04)
+    commands = []
+    while (message := wheels.read_now()) is not None:
+        commands.append(message.values)
+    assert commands, "its wheels hear nothing"
+    assert commands[-1][0] == 3
+
+
+@pytest.mark.parametrize("site", ["nav2.yaml"], indirect=True)
+def test_nav2_drives_for_a_client_of_yarp(site: Site) -> None:
+    environment = {**ros2_environment(), **SHORT_LEASE}
+    site.program(ROS1_PYTHON, "ros1_map_server.py", APARTMENT, **site.deployment.master.env)
+    site.program(ros2_python(), "ros2_nav2.py", SPEED, PATIENCE, **environment)
+    client = site.client()
+    knows_the_map(client)
+    goes(client, "bedroom")
