@@ -25,6 +25,7 @@ from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.navigation2d_client import Navigation2DClient
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
+from yarp_compat.naming.errors import PortError
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Reader
 from yarp_compat.sig.matrix import Matrix
@@ -58,9 +59,17 @@ class Site:
 
     def client(self) -> Navigation2DClient:
         """A YARP program that knows of places alone."""
-        for server in ("/navigation2D_nws_yarp/rpc", "/map2D_nws_yarp/rpc", "/localization2D_nws_yarp/rpc"):
-            until(lambda server=server: self.names.query(server), f"{server} is open", SECONDS)
-        return self._stack.enter_context(Navigation2DClient(naming=self.names, timeout=SECONDS))
+
+        def opened() -> Navigation2DClient | None:
+            # a port is known a moment before it is open, and may have to take another number
+            try:
+                return self._stack.enter_context(Navigation2DClient(naming=self.names, timeout=SECONDS))
+            except PortError:
+                return None
+
+        found = until(opened, "all of YARP's doors are open", SECONDS, every=0.2)
+        assert found is not None
+        return found
 
     def reader(self, port: str) -> Reader:
         return self._stack.enter_context(Reader(port, naming=self.names))
