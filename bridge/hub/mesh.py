@@ -33,11 +33,18 @@ MEMBERS = "members"
 _MARK = "d0c0ffee"
 """Begins the zenoh ids of the sessions that introduce others: nobody misses these."""
 
-_FIRST_SECONDS = 0.5
-_LONGEST_SECONDS = 10.0
+_FIRST_SECONDS = 1.5
+"""Longer than the others and the router take to notice a loss, too: else who stands still would be spoken of, and their
+vain attempts to reach him be under way when he is back."""
+
+_LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
+_REMEMBERED_SECONDS = 60.0
+"""So long one who is not at the router is remembered: he may come back and not be found."""
+
+_BLIND = 3
 _BLIND_SECONDS = 1.0
-"""How long the one introduction lasts at a router that does not tell who is there: the peer may be gone for good."""
+"""How often and how long others are introduced at a router that does not tell who is there."""
 
 Members = Callable[[], Collection[str] | None]
 
@@ -57,7 +64,7 @@ class Mesh:
     def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
         self._session, self._config, self._members = session, config, members
         self._lock = Lock()
-        self._lost: set[str] = set()
+        self._lost: dict[str, float] = {}
         self._thread: Thread | None = None
         self._closed = Event()
         self.mended = 0
@@ -81,37 +88,37 @@ class Mesh:
         with self._lock:
             if self._closed.is_set():
                 return
-            self._lost.add(zid)
+            self._lost[zid] = time.monotonic()
             if self._thread is None:
                 self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
                 self._thread.start()
 
     def _run(self) -> None:
-        pause = _FIRST_SECONDS
+        pause, blind = _FIRST_SECONDS, 0
         while not self._closed.wait(pause):
+            told = True
             try:
-                going_on = self._mend()
+                told = self._mend()
             except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
                 _log.debug("lost links are not mended: %s", zenoh_reason(err))
-                going_on = True
+            blind += not told
+            oldest = time.monotonic() - _REMEMBERED_SECONDS
             with self._lock:
-                if not going_on:
-                    self._lost.clear()
+                self._lost = {zid: at for zid, at in self._lost.items() if at > oldest and blind < _BLIND}
                 if not self._lost:
                     self._thread = None
                     return
             pause = min(2 * pause, _LONGEST_SECONDS)
 
     def _mend(self) -> bool:
-        """Introduce those that are missing; False where trying on is of no use."""
+        """Introduce those that are missing; whether it is known who is there."""
         if not self._session.info.routers_zid():  # its return has all speak of each other
             return True
         members = self._members()
         with self._lock:
-            if members is not None:
-                self._lost.intersection_update(members)
-            self._lost -= self._here()
-            missing = set(self._lost)
+            for zid in self._here() & self._lost.keys():
+                del self._lost[zid]
+            missing = self._lost.keys() & (self._lost if members is None else members)
         if missing:
             self._introduce(missing, _BLIND_SECONDS if members is None else _INTRODUCTION_SECONDS)
         return members is not None

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
+from bridge.hub import mesh
 from bridge.hub.control import Control
 from bridge.hub.mesh import MEMBERS
 from bridge.hub.session import Hub
@@ -59,10 +60,12 @@ def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
         until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other", 20)
 
 
-def test_who_left_is_not_missed(hubs: QuickHub) -> None:
+def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mesh, "_REMEMBERED_SECONDS", 1.0)
+    monkeypatch.setattr(mesh, "_BLIND", 1)
     with Hub.open(hubs.settings("one")) as one:
         with Hub.open(hubs.settings("two", "two")) as two:
             until(lambda: two.zid in peers(one), "they are linked", 20)
         until(lambda: two.zid not in peers(one), "the link's end is known", 20)
-        until(lambda: one._mesh._thread is None, "nobody is looked for", 20)
+        until(lambda: one._mesh._thread is None, "nobody is looked for any more", 20)
         assert not one._mesh.mended
