@@ -7,6 +7,7 @@ import signal
 
 from tests.interop.deployment import Deployment
 from tests.interop.test_topics import cross
+from tests.support.process import stands_still
 from tests.support.wait import until
 
 STRING = "std_msgs/String"
@@ -61,6 +62,7 @@ def test_commands_that_piled_up_before_a_stopped_worker_are_dropped(running: Dep
         pid = running.worker(side)["pid"]
         before = len(ros1.wait(heard, 0, 0))
         os.kill(pid, signal.SIGSTOP)
+        until(lambda pid=pid: stands_still(pid), f"{side} stands still")
         for _ in range(10):
             ros2.publish(out, twist(9.0))
         # The commands must have grown old when the worker goes on.

@@ -65,3 +65,9 @@ class Process:
 
     def __exit__(self, kind: type[BaseException] | None, err: BaseException | None, tb: TracebackType | None) -> None:
         self.stop()
+
+
+def stands_still(pid: int) -> bool:
+    """Whether all threads of a process are stopped: some run on for a moment after SIGSTOP."""
+    stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
+    return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)

@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +17,7 @@ from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import Place
 from tests.contract.hubside import HubSide
 from tests.contract.side import WorkerProcess
+from tests.support.process import stands_still
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from tests.support.yarp_programs import YarpProgram
@@ -71,16 +71,10 @@ class Pair:
         process = self.workers[name].process
         began = time.monotonic()
         process.signal(signal.SIGSTOP)
-        until(lambda: _stands_still(process.pid), "it stands still")  # some threads run on for a moment
+        until(lambda: stands_still(process.pid), "it stands still")
         yield
         time.sleep(max(0.0, began + seconds - time.monotonic()))  # this is the case: that long it does nothing
         process.signal(signal.SIGCONT)
-
-
-def _stands_still(pid: int) -> bool:
-    """Whether all threads of a process are stopped."""
-    stats = [file.read_text() for file in Path(f"/proc/{pid}/task").glob("*/stat")]
-    return all(stat.rpartition(") ")[2].startswith("T") for stat in stats)
 
 
 @pytest.fixture
