@@ -42,11 +42,7 @@ _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
 """So long one who is not at the router is remembered: he may come back and not be found."""
 
-_BLIND = 3
-_BLIND_SECONDS = 1.0
-"""How often and how long others are introduced at a router that does not tell who is there."""
-
-Members = Callable[[], Collection[str] | None]
+Members = Callable[[], set[str] | None]
 
 
 class Mesh:
@@ -94,45 +90,45 @@ class Mesh:
                 self._thread.start()
 
     def _run(self) -> None:
-        pause, blind = _FIRST_SECONDS, 0
+        pause = _FIRST_SECONDS
         while not self._closed.wait(pause):
-            told = True
             try:
-                told = self._mend()
+                self._mend()
             except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
                 _log.debug("lost links are not mended: %s", zenoh_reason(err))
-            blind += not told
             oldest = time.monotonic() - _REMEMBERED_SECONDS
             with self._lock:
-                self._lost = {zid: at for zid, at in self._lost.items() if at > oldest and blind < _BLIND}
+                self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
                 if not self._lost:
                     self._thread = None
                     return
             pause = min(2 * pause, _LONGEST_SECONDS)
 
-    def _mend(self) -> bool:
-        """Introduce those that are missing; whether it is known who is there."""
+    def _mend(self) -> None:
+        """Introduce those that are missing; at a router that does not tell who is there nobody is missed."""
         if not self._session.info.routers_zid():  # its return has all speak of each other
-            return True
+            return
         members = self._members()
         with self._lock:
+            if members is None:
+                self._lost.clear()
+                return
             for zid in self._here() & self._lost.keys():
                 del self._lost[zid]
-            missing = self._lost.keys() & (self._lost if members is None else members)
+            missing = self._lost.keys() & members
         if missing:
-            self._introduce(missing, _BLIND_SECONDS if members is None else _INTRODUCTION_SECONDS)
-        return members is not None
+            self._introduce(missing)
 
     def _here(self) -> set[str]:
         return {str(zid) for zid in self._session.info.peers_zid()}
 
-    def _introduce(self, missing: Collection[str], seconds: float) -> None:
+    def _introduce(self, missing: Collection[str]) -> None:
         """Have a session join that speaks of them, until they are here."""
         config = self._config()
         config.insert_json5("id", json.dumps(_MARK + secrets.token_hex(12)))
         session = zenoh.open(config)
         try:
-            deadline = time.monotonic() + seconds
+            deadline = time.monotonic() + _INTRODUCTION_SECONDS
             while time.monotonic() < deadline and not self._closed.wait(0.02):
                 if self._here().issuperset(missing):
                     self.mended += len(missing)
