@@ -71,7 +71,8 @@ def _print(kind: LogType, text: str, component: str) -> None:
     if enabled(os.environ, "YARP_VERBOSE_OUTPUT", default=False):
         out = f"[{time.time():.6f}] {out}"
     with _lock:
-        print(out, file=stream, flush=True)
+        stream.write(f"{out}\n")  # in one piece: between two, other threads' text would stand in the line
+        stream.flush()
 
 
 def _first_level() -> LogType:

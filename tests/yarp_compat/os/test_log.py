@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import logging
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -28,6 +30,20 @@ def test_messages_go_where_yarp_sends_them(capsys: pytest.CaptureFixture[str]) -
     out, err = capsys.readouterr()
     assert out == "[INFO] speed 0.2 of r1\n[DEBUG] 50% done\n"
     assert err == "[WARNING] careful\n[ERROR] broken\n"
+
+
+def test_a_line_is_written_in_one_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else what another thread prints meanwhile stands in the middle of it."""
+
+    class Pieces(io.StringIO):
+        def write(self, text: str) -> int:
+            pieces.append(text)
+            return len(text)
+
+    pieces: list[str] = []
+    monkeypatch.setattr(sys, "stdout", Pieces())
+    Log.info("hello")
+    assert pieces == ["[INFO] hello\n"]
 
 
 def test_fatal_ends_the_program(capsys: pytest.CaptureFixture[str]) -> None:
