@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -17,6 +18,8 @@ from bridge.stores.wire import key_of
 T = TypeVar("T")
 
 _SECONDS = 10.0
+_FIND_SECONDS = 2.0
+_ALIVE = "@sync/alive/*/*"
 
 
 class StoreClient:
@@ -27,13 +30,15 @@ class StoreClient:
         daemon: whose copy is preferred; another's where that one keeps none.
 
     Raises:
-        StoreError: nobody keeps a store.
+        StoreError: nobody keeps a store, and nobody came who does for 2 s.
     """
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
-        found = [token.removeprefix("@sync/alive/").partition("/") for token in space.tokens("@sync/alive/*/*")]
-        copies = sorted((name != daemon, name, zid) for zid, _, name in found)
+        there = threading.Event()  # not at once where the daemon, too, has only begun
+        space.watch(_ALIVE, lambda _, came: there.set() if came else None)
+        found = space.tokens(_ALIVE) if there.wait(_FIND_SECONDS) else []
+        copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in found))
         if not copies:
             raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")
         _, self.daemon, self._zid = copies[0]

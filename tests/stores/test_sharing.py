@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -240,6 +241,14 @@ def test_a_client_reads_what_it_wrote(hub: QuickHub, tmp_path: Path) -> None:
             two.replica.limits = Limits(keys=1)
             with pytest.raises(StoreError, match=r"store\.keys"):
                 client.write([Write(LOCATION, "one more", KITCHEN)])
+
+
+def test_a_client_that_was_first_waits_for_the_store(hub: QuickHub, tmp_path: Path) -> None:
+    with Hub.open(hub.settings("cli")) as session, ThreadPoolExecutor() as pool:
+        space = session.keyspace(prefix(0))
+        client = pool.submit(StoreClient, space, "one")
+        with Shared(tmp_path, "one", hub.endpoint):
+            assert client.result(SECONDS).daemon == "one"
 
 
 def test_hostile_questions_and_samples_are_refused(hub: QuickHub, tmp_path: Path) -> None:
