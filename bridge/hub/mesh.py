@@ -13,12 +13,13 @@ router opens one for a moment.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import secrets
 import time
 from collections.abc import Callable, Collection
-from threading import Event, Lock, Thread
+from threading import Event, Thread
 from typing import Any
 
 import zenoh
@@ -42,6 +43,9 @@ _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
 """So long one who is not at the router is remembered: he may come back and not be found."""
 
+_MOST_EVENTS = 1000
+"""Links' beginnings and ends that wait to be looked at."""
+
 Members = Callable[[], set[str] | None]
 
 
@@ -59,63 +63,59 @@ class Mesh:
 
     def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
         self._session, self._config, self._members = session, config, members
-        self._lock = Lock()
         self._lost: dict[str, float] = {}
-        self._thread: Thread | None = None
         self._closed = Event()
         self.mended = 0
-        heard: Any = zenoh.handlers.Callback(self._event, indirect=False)
-        self._listener = session.info.declare_transport_events_listener(heard)
+        # Not a callback: zenoh's thread, which waits for Python's lock there, has links to make and to end
+        events: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
+        self._listener: Any = session.info.declare_transport_events_listener(events)
+        self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         """Watch no more. Safe to call twice."""
         self._closed.set()
-        with self._lock:
-            thread = self._thread
-        if thread is not None:
-            thread.join(2 * _INTRODUCTION_SECONDS)
-
-    def _event(self, event: zenoh.TransportEvent) -> None:
-        """Hear of a link's beginning or end, on zenoh's thread."""
-        transport = event.transport
-        zid = str(transport.zid)
-        if event.kind != zenoh.SampleKind.DELETE or transport.whatami != zenoh.WhatAmI.PEER or zid.startswith(_MARK):
-            return
-        with self._lock:
-            if self._closed.is_set():
-                return
-            self._lost[zid] = time.monotonic()
-            if self._thread is None:
-                self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
-                self._thread.start()
+        with contextlib.suppress(zenoh.ZError):  # the session is closed already
+            self._listener.undeclare()
+        self._thread.join(2 * _INTRODUCTION_SECONDS)
 
     def _run(self) -> None:
-        pause = _FIRST_SECONDS
-        while not self._closed.wait(pause):
-            try:
-                self._mend()
-            except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
-                _log.debug("lost links are not mended: %s", zenoh_reason(err))
-            oldest = time.monotonic() - _REMEMBERED_SECONDS
-            with self._lock:
+        for event in self._listener:  # until it is undeclared, or the session closed
+            self._take(event)
+            pause = _FIRST_SECONDS
+            while self._lost and not self._closed.wait(pause):
+                try:
+                    while (more := self._listener.try_recv()) is not None:
+                        self._take(more)
+                    self._mend()
+                except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
+                    _log.debug("lost links are not mended: %s", zenoh_reason(err))
+                oldest = time.monotonic() - _REMEMBERED_SECONDS
                 self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
-                if not self._lost:
-                    self._thread = None
-                    return
-            pause = min(2 * pause, _LONGEST_SECONDS)
+                pause = min(2 * pause, _LONGEST_SECONDS)
+
+    def _take(self, event: zenoh.TransportEvent) -> None:
+        """Note who is lost."""
+        transport = event.transport
+        zid = str(transport.zid)
+        if (
+            event.kind == zenoh.SampleKind.DELETE
+            and transport.whatami == zenoh.WhatAmI.PEER
+            and not zid.startswith(_MARK)
+        ):
+            self._lost[zid] = time.monotonic()
 
     def _mend(self) -> None:
         """Introduce those that are missing; at a router that does not tell who is there nobody is missed."""
         if not self._session.info.routers_zid():  # its return has all speak of each other
             return
         members = self._members()
-        with self._lock:
-            if members is None:
-                self._lost.clear()
-                return
-            for zid in self._here() & self._lost.keys():
-                del self._lost[zid]
-            missing = self._lost.keys() & members
+        if members is None:
+            self._lost.clear()
+            return
+        for zid in self._here() & self._lost.keys():
+            del self._lost[zid]
+        missing = self._lost.keys() & members
         if missing:
             self._introduce(missing)
 

@@ -64,5 +64,5 @@ def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch)
         with Hub.open(hubs.settings("two", "two")) as two:
             until(lambda: two.zid in peers(one), "they are linked", 20)
         until(lambda: two.zid not in peers(one), "the link's end is known", 20)
-        until(lambda: one._mesh._thread is None, "nobody is looked for any more", 20)
+        until(lambda: not one._mesh._lost, "nobody is looked for any more", 20)
         assert not one._mesh.mended
