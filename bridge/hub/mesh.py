@@ -38,6 +38,10 @@ _FIRST_SECONDS = 1.5
 """Longer than the others and the router take to notice a loss, too: else who stands still would be spoken of, and their
 vain attempts to reach him be under way when he is back."""
 
+_SOON_SECONDS = 0.2
+_TOGETHER_SECONDS = 1.0
+"""Who lost the router within this time of them is he who stood still, and is back: he need not wait."""
+
 _LONGEST_SECONDS = 4.0
 _INTRODUCTION_SECONDS = 2.0
 _REMEMBERED_SECONDS = 60.0
@@ -64,6 +68,7 @@ class Mesh:
     def __init__(self, session: zenoh.Session, config: Callable[[], zenoh.Config], members: Members) -> None:
         self._session, self._config, self._members = session, config, members
         self._lost: dict[str, float] = {}
+        self._adrift = float("-inf")
         self._closed = Event()
         self.mended = 0
         # Not a callback: zenoh's thread, which waits for Python's lock there, has links to make and to end
@@ -82,7 +87,7 @@ class Mesh:
     def _run(self) -> None:
         for event in self._listener:  # until it is undeclared, or the session closed
             self._take(event)
-            pause = _FIRST_SECONDS
+            pause = _SOON_SECONDS
             while self._lost and not self._closed.wait(pause):
                 try:
                     while (more := self._listener.try_recv()) is not None:
@@ -96,14 +101,13 @@ class Mesh:
 
     def _take(self, event: zenoh.TransportEvent) -> None:
         """Note who is lost."""
-        transport = event.transport
-        zid = str(transport.zid)
-        if (
-            event.kind == zenoh.SampleKind.DELETE
-            and transport.whatami == zenoh.WhatAmI.PEER
-            and not zid.startswith(_MARK)
-        ):
-            self._lost[zid] = time.monotonic()
+        if event.kind != zenoh.SampleKind.DELETE:
+            return
+        zid, now = str(event.transport.zid), time.monotonic()
+        if event.transport.whatami == zenoh.WhatAmI.ROUTER:
+            self._adrift = now
+        elif event.transport.whatami == zenoh.WhatAmI.PEER and not zid.startswith(_MARK):
+            self._lost[zid] = now
 
     def _mend(self) -> None:
         """Introduce those that are missing; at a router that does not tell who is there nobody is missed."""
@@ -115,7 +119,9 @@ class Mesh:
             return
         for zid in self._here() & self._lost.keys():
             del self._lost[zid]
-        missing = self._lost.keys() & members
+        before = time.monotonic() - _FIRST_SECONDS
+        due = {zid for zid, at in self._lost.items() if at < before or abs(at - self._adrift) < _TOGETHER_SECONDS}
+        missing = due & members
         if missing:
             self._introduce(missing)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from bridge.adapters.base import Edge
 from bridge.hub.errors import HubError
 from bridge.hub.session import Hub
+from bridge.hub.settings import LEASE_MS
 from bridge.routing.election import PERIOD, Election, HubView, Outcome, join
 from bridge.routing.lease import Lease
 from bridge.routing.processes import has_ended, process_name
@@ -25,6 +26,12 @@ ALONE = 1.5
 _PAUSE = 0.02
 _HUB_LINKED = 1.0
 """Seconds from the first link on the hub until all that is on the hub would be seen."""
+
+_HUB_AGAIN = 2.5
+"""The same for one whose links were given up while it stood still: not all come back at once (`bridge.hub.mesh`)."""
+
+_LINKS_LAST = 0.75 * LEASE_MS / 1000
+"""So long it may stand still before the hub's other sessions give its links up: the last keep-alive was sent before."""
 
 _HUB_ALONE = 3.0
 """Seconds after which a session without any link counts as the only one on its hub."""
@@ -44,6 +51,7 @@ class Watch:
         self._outcome = Outcome()
         self._started = self._since = self._turned = time.monotonic()
         self._linked: float | None = None
+        self._settling = _HUB_LINKED
         self._due = 0.0
         self._wake = threading.Event()
         self._stopping = threading.Event()
@@ -91,9 +99,12 @@ class Watch:
     def _turn(self) -> None:
         now = time.monotonic()
         if self._outcome.active and self.lease.over:
-            _log.warning("%s: stood still for %.1f s; looking who is active now", self._edge.side, now - self._turned)
+            still = now - self._turned
+            _log.warning("%s: stood still for %.1f s; looking who is active now", self._edge.side, still)
             self._election.lapse(now)
             self._since = now
+            if still > _LINKS_LAST:
+                self._started, self._linked, self._settling = now, None, _HUB_AGAIN
         self._turned = now
         record, urgent = self._election.turn(
             now, time.time_ns(), self._edge.sightings(), self._view(now), settled=self._edge.settled(self._since)
@@ -116,7 +127,7 @@ class Watch:
         graph = self._hub.graph
         if self._linked is None and self._hub.linked():
             self._linked = now
-        since = self._started + _HUB_ALONE if self._linked is None else self._linked + _HUB_LINKED
+        since = self._started + _HUB_ALONE if self._linked is None else self._linked + self._settling
         members = graph.members()
         # One that carries without telling who is on its network, such as a worker of another make, is a network alone.
         crew = frozenset(graph.origins())

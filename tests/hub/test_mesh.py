@@ -11,8 +11,6 @@ import psutil
 import pytest
 
 from bridge.hub import mesh
-from bridge.hub.control import Control
-from bridge.hub.mesh import MEMBERS
 from bridge.hub.session import Hub
 from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
@@ -20,15 +18,8 @@ from tests.support.wait import until
 
 @pytest.fixture
 def hubs() -> Iterator[QuickHub]:
-    """With a router that tells who is there, as the worker of routers does."""
-    network = QuickHub()
-    session = network._session
-    control = Control(session, 0, "here", "router")
-    router = {"zid": str(session.zid())}
-    control.serve(MEMBERS, lambda _: router | {"members": [str(t.zid) for t in session.info.transports()]})
-    yield network
-    control.close()
-    network.stop_router()
+    with QuickHub() as network:
+        yield network
 
 
 def peers(hub: Hub) -> set[str]:

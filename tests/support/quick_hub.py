@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import zenoh
 
+from bridge.hub.control import Control
+from bridge.hub.mesh import MEMBERS
 from bridge.hub.settings import MAX_PAYLOAD, make_config, router_tree
 from tests.support.hub import HubNetwork
 
 
 class QuickHub(HubNetwork):
-    """See `tests.support.hub.HubNetwork`."""
+    """See `tests.support.hub.HubNetwork`. Its router tells who is there, as Midspan's does."""
 
     _session: zenoh.Session | None = None
+    _control: Control
 
     def start_router(self) -> None:
         """Run the router."""
-        self._session = zenoh.open(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
+        session = zenoh.open(make_config(router_tree([self.endpoint], max_payload=MAX_PAYLOAD), None))
+        me = {"zid": str(session.zid())}
+        self._session, self._control = session, Control(session, self.domain, "quick", "router")
+        self._control.serve(MEMBERS, lambda _: me | {"members": [str(t.zid) for t in session.info.transports()]})
 
     def stop_router(self) -> None:
         """End the router."""
         session, self._session = self._session, None
         if session is not None:
             session.close()
+            self._control.close()
