@@ -28,7 +28,7 @@ _NO_TARGET = "there is no target"
 
 
 class Navigation2DServer(INavigation2DMsgs):
-    """Answers with a device. What it gets is sound: x and y of every goal are numbers, a path has waypoints.
+    """Answers with a device. What it gets is sound: a goal's x and y are finite, a path has waypoints.
 
     A heading that is no number means that any will do, as it does to YARP's robotGoto.
 
@@ -84,7 +84,7 @@ class Navigation2DServer(INavigation2DMsgs):
         return self.goto_target_by_absolute_location_and_set_name_RPC(loc, "")
 
     def goto_target_by_absolute_location_and_set_name_RPC(self, loc: Map2DLocation, name: str) -> ReturnValue:
-        _sound(loc.x, loc.y)
+        _sound_goal(loc.x, loc.y, loc.theta)
         outcome = self._calls.done("gotoTargetByAbsoluteLocation", loc)
         if outcome:
             self.target_name = name
@@ -94,7 +94,7 @@ class Navigation2DServer(INavigation2DMsgs):
         return self.goto_target_by_relative_location2_RPC(x, y, math.nan)
 
     def goto_target_by_relative_location2_RPC(self, x: float, y: float, theta: float) -> ReturnValue:
-        _sound(x, y)
+        _sound_goal(x, y, theta)
         outcome = self._calls.done("gotoTargetByRelativeLocation", x, y, theta)
         return self._unnamed(outcome)
 
@@ -102,7 +102,7 @@ class Navigation2DServer(INavigation2DMsgs):
         if not path.waypoints:
             raise CallFailed(ReturnCode.METHOD_FAILED, "the path has no waypoints")
         for place in path:
-            _sound(place.x, place.y)
+            _sound_goal(place.x, place.y, place.theta)
         return self._unnamed(self._calls.done("followPath", path))
 
     def get_absolute_location_of_current_target_RPC(self) -> tuple[ReturnValue, Map2DLocation]:
@@ -129,6 +129,10 @@ class Navigation2DServer(INavigation2DMsgs):
         if outcome:
             self.target_name = ""
         return outcome
+
+
+def _sound_goal(x: float, y: float, theta: float) -> None:
+    _sound(x, y, 0.0 if math.isnan(theta) else theta)
 
 
 def _sound(*numbers: float) -> None:

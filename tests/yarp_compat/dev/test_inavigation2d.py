@@ -269,6 +269,10 @@ def test_goals_that_are_none_do_not_reach_the_device(remote: INavigation2DMsgs, 
     assert not remote.goto_target_by_relative_location1_RPC(math.inf, 0)
     assert not remote.follow_path_RPC(Map2DPath())
     assert not remote.follow_path_RPC(Map2DPath([KITCHEN, nowhere]))
+    no_heading = Map2DLocation("m1", 1.0, 2.0, math.inf)  # none is one that says: any
+    assert not remote.goto_target_by_absolute_location_RPC(no_heading)
+    assert not remote.goto_target_by_relative_location2_RPC(1.0, 2.0, -math.inf)
+    assert not remote.follow_path_RPC(Map2DPath([KITCHEN, no_heading]))
     assert not remote.apply_velocity_command_RPC(math.nan, 0, 0, 0.1)
     assert (planner.told, planner.target) == ([], None)
     any_heading = Map2DLocation("m1", 1.0, 2.0, math.nan)
@@ -299,6 +303,7 @@ def test_a_localizer_is_asked() -> None:
     assert remote.set_initial_pose2_RPC(KITCHEN, COVARIANCE)
     assert not remote.set_initial_pose1_RPC(Map2DLocation("m1", 1.0, 2.0, math.nan))
     assert not remote.set_initial_pose2_RPC(KITCHEN, Matrix(np.full((3, 3), math.inf)))
+    assert not remote.set_initial_pose2_RPC(KITCHEN, Matrix(-np.eye(3)))
     assert told[:2] == ["start", (KITCHEN, None)]
     assert told[2][0] == KITCHEN
     assert np.array_equal(told[2][1], COVARIANCE.numpy())
