@@ -18,15 +18,18 @@ from bridge.modules.module import Module
 from bridge.modules.services import Answer
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
+from navigation.connected import Connected
 from navigation.frames import FramesError
 from navigation.map2d_server.folder import MapsFolder
 from navigation.mapper2d.canvas import Canvas
 from navigation.mapper2d.mapper import Mapper, Settings
-from navigation.mapper2d.poses import COVARIANT, Poses, of_message
+from navigation.mapper2d.poses import COVARIANT, Poses, of_message, sent
 from navigation.mapper2d.settings import with_file
 from navigation.mapper2d.words import Words
 from navigation.maps.cdr import to_cdr
 from navigation.pose import Pose
+from navigation.robot_goto.beams import ScanError, of_yarp
+from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
@@ -84,7 +87,8 @@ class Mapper2D(Module):
         self._canvas = Canvas(self.mapper)
         folder = MapsFolder(section.folder or host.folder / "maps")
         self._words = Words(self.mapper, self._canvas, self._poses, lambda: host.store, folder)
-        host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
+        if section.scan:
+            host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
         self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
         if section.initial_pose:
             host.node.subscription(section.initial_pose, COVARIANT, lambda m: self._poses.set(Pose(*of_message(m))))
@@ -97,25 +101,45 @@ class Mapper2D(Module):
         host.yarp.respond(f"{prefix}/rpc", lambda values: host.loop.call(lambda: self._asked(values)))
         self._picture = host.yarp.output(f"{prefix}/map:o", "yarp/image")
         host.yarp.input(f"{prefix}/yarpviewTarget:i", self._click)
+        mine = f"{prefix}/laser:i"
+        host.yarp.input(mine, self._hear_yarp)
+        pairs = [(self._section.laser_port, mine)]
+        if self._section.pose == "port":
+            pairs.append((self._section.pose_port, f"{prefix}/odometry:i"))
+        self._connected = [Connected(host.yarp.naming, theirs, ours) for theirs, ours in pairs if theirs]
         for word, done in (("start", "mapping"), ("stop", "not mapping")):
             host.node.server(f"/{self.name}/{word}", TRIGGER, self._trigger(word, done))
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
 
     def _hear(self, message: dict[str, Any]) -> None:
         now = self._host.clock.now_ns()
-        self._heard = now
-        if not self.mapper.mapping:
-            return
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
+        first, step, farthest = message["angle_min"], message["angle_increment"], message["range_max"]
         ranges = np.array(message["ranges"], np.float64)
+        scan = _Scan(now, stamp or now, header["frame_id"], ranges, first, step, farthest)
+        self._take(scan, max(message["range_min"], 1e-3))
+
+    def _hear_yarp(self, received: Received) -> None:
+        """On the thread of the connection."""
+        now = self._host.clock.now_ns()
+        try:
+            turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or now)
+        except ScanError as err:
+            raise WireError(str(err)) from None
+        scan = _Scan(now, turn.time_ns, "", turn.ranges, turn.first, turn.step, turn.farthest)
+        self._host.loop.call(lambda: self._take(scan, turn.nearest))
+
+    def _take(self, scan: _Scan, nearest: float) -> None:
+        self._heard = scan.came
+        if not self.mapper.mapping:
+            return
         with np.errstate(invalid="ignore"):
-            ranges[ranges < max(message["range_min"], 1e-3)] = np.nan
-            ranges[ranges > message["range_max"]] = np.inf
+            scan.ranges[scan.ranges < nearest] = np.nan
+            scan.ranges[scan.ranges > scan.farthest] = np.inf
         if len(self._waiting) == _WAITING:
             self._dropped += 1
-        first, step, farthest = message["angle_min"], message["angle_increment"], message["range_max"]
-        self._waiting.append(_Scan(now, stamp or now, header["frame_id"], ranges, first, step, farthest))
+        self._waiting.append(scan)
         self._work()
 
     def _work(self) -> None:
@@ -185,7 +209,10 @@ class Mapper2D(Module):
         if not self.mapper.mapping:
             return Health("running", "stopped: it takes no scans until 'start'")
         if self._heard is None or self._host.clock.now_ns() - self._heard > _SILENT_NS:
-            return Health("waiting", f"no scan is heard on {self._section.scan}")
+            troubles = [each.trouble for each in self._connected if each.trouble]
+            ends = [self._section.scan, f"{self._section.prefix}/laser:i"]
+            where = " or ".join(ends[not ends[0] :])
+            return Health("waiting", "; ".join((f"no scan is heard on {where}", *troubles)))
         if self._trouble:
             return Health("waiting", self._trouble)
         width, height = self.mapper.size
@@ -201,5 +228,11 @@ class Mapper2D(Module):
             "scans": self.mapper.scans,
             "dropped": self._dropped,
             "trouble": self._trouble,
+            "connections": [each.trouble for each in self._connected if each.trouble],
             "notes": list(self._notes),
         }
+
+    def stop(self) -> None:
+        """Connect no more."""
+        for each in self._connected:
+            each.close()

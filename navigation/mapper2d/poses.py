@@ -101,10 +101,15 @@ class Poses:
             host.yarp.input(f"{section.prefix}/odometry:i", lambda received: _take(given, received))
 
     def laser(self, frame: str, stamp: int) -> Pose:
-        """Where the laser was on the map; raises `FramesError` where that is not known, or not yet."""
+        """Where the laser was on the map; raises `FramesError` where that is not known, or not yet.
+
+        Args:
+            frame: the laser's; empty where it has none, as on YARP.
+            stamp: ns.
+        """
         mount = self._mount
         if mount is None:
-            mount = self._frames.transform(self._frames.base_frame, frame)
+            mount = self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)
         return self.robot(stamp) @ mount
 
     def robot(self, stamp: int = LATEST) -> Pose:
@@ -134,7 +139,7 @@ def _take(told: Told, received: Received) -> None:
     pose = _of_yarp(received)
     if not all(map(math.isfinite, pose[:3])):
         raise WireError(f"{pose[:3]} is no pose")
-    told.tell(_sent(received.envelope), pose.x, pose.y, pose.theta)
+    told.tell(sent(received.envelope), pose.x, pose.y, pose.theta)
 
 
 def _of_yarp(received: Received) -> Pose:
@@ -156,7 +161,7 @@ def _of_yarp(received: Received) -> Pose:
     raise WireError("a pose is an OdometryData, a Map2DLocation, or three numbers: x y theta_deg")
 
 
-def _sent(envelope: str) -> int:
+def sent(envelope: str) -> int:
     """When a message was sent, ns; 0 where it does not say."""
     if not envelope:
         return 0

@@ -48,9 +48,7 @@ def _read(section: Mapper2DSection, file: Path) -> tuple[Mapper2DSection, tuple[
             ini.notes.append(f"{general.where(key)}: '{key} 0' is not obeyed: {what}")
     port = laser.text("laser_port", "")
     if port:
-        ini.notes.append(
-            f"{laser.where('laser_port')}: the laser is heard on {section.scan}: a rule brings {port} there"
-        )
+        found["laser_port"], found["scan"] = "/" + port.strip("/"), ""
     _take_map(ini.group("MAP"), found, section)
     _take_pose(ini, found)
     _take_geometry(ini.group("ROBOT_GEOMETRY"), found)
@@ -77,10 +75,7 @@ def _take_pose(ini: Ini, found: dict[str, object]) -> None:
     found["pose"] = "tf" if by_tf else "port"
     port = odometry.text("odometry_broadcast_port", "")
     if port and not by_tf:
-        ini.notes.append(
-            f"{odometry.where('odometry_broadcast_port')}: connect it: yarp connect {port} "
-            f"{found.get('prefix', '/mapper2D')}/odometry:i"
-        )
+        found["pose_port"] = "/" + port.strip("/")
     for key, name in (("robot_frame_id", "base_frame"), ("map_frame_id", "map_frame")):
         text = frames.text(key, "")
         if text:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import math
-import threading
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,16 +13,9 @@ from numpy.typing import NDArray
 from navigation.frames import Frames, FramesError
 from navigation.pose import Pose
 from yarp_compat.dev.laserscan import LaserScan2D
-from yarp_compat.naming import connections
-from yarp_compat.naming.naming import Naming
-from yarp_compat.wire.errors import WireError
 
 LATE = 0.2
 """Seconds by which a scan may be newer than the frames."""
-
-_AGAIN = 2.0
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,38 +96,3 @@ def moved_at(frames: Frames, stamp_ns: int) -> Pose:
             return frames.transform(frames.map_frame, frames.base_frame, stamp_ns, extrapolate=LATE)
         except FramesError:
             raise err from None
-
-
-class Connected:
-    """Connects a laser's port to ours, again after it was away. On a thread of its own.
-
-    Args:
-        naming: who knows the ports.
-        source: the laser's port.
-        target: ours.
-    """
-
-    def __init__(self, naming: Naming, source: str, target: str) -> None:
-        self._naming, self._source, self._target = naming, source, target
-        self.trouble = f"{source} is not connected yet"
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="midspan-laser", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Connect no more."""
-        self._end.set()
-        self._thread.join(5.0)
-
-    def _run(self) -> None:
-        begun = time.monotonic()
-        while not self._end.is_set():
-            try:
-                if not connections.carrier_between(self._naming, self._source, self._target, timeout=_AGAIN):
-                    connections.connect(self._naming, self._source, self._target, timeout=_AGAIN)
-                self.trouble = ""
-            except (OSError, WireError) as err:
-                if str(err) != self.trouble and time.monotonic() - begun > _AGAIN:
-                    _log.info("%s is not connected to %s: %s", self._source, self._target, err)
-                self.trouble = str(err) or type(err).__name__
-            self._end.wait(_AGAIN)

@@ -18,6 +18,7 @@ from bridge.modules.module import Module
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
 from navigation.clients import GONE, Clients
+from navigation.connected import Connected
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
 from navigation.goals import goal_of
@@ -25,7 +26,7 @@ from navigation.maps.grid import from_grid
 from navigation.messages import pose_message
 from navigation.plan_error import PlanError
 from navigation.pose import Pose
-from navigation.robot_goto.beams import Connected, ScanError, laser_pose, moved_at, of_ros, of_yarp
+from navigation.robot_goto.beams import ScanError, laser_pose, moved_at, of_ros, of_yarp
 from navigation.robot_goto.device import GotoServer
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.settings import settings_of

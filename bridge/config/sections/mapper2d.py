@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from bridge.config.sections.module import ModuleSection
 from bridge.config.sections.values import ROS2_NAME
 
+_PORT = r"^((/[^\s/\"'*()\[\]{}]+)+)?$"
 _PREFIX = re.compile(r"(?:/[A-Za-z0-9_.-]+)+")
 
 
@@ -28,10 +29,16 @@ class Mapper2DSection(ModuleSection):
     resolution: float = Field(default=0.05, ge=0.005, le=1.0, description="Metres of a cell.")
     largest: float = Field(default=100.0, gt=0.0, le=400.0, description="Metres that a side of the map grows to.")
     farthest: float = Field(default=10.0, gt=0.0, le=100.0, description="Metres beyond which a beam says nothing.")
-    scan: str = Field(default="/scan", description="Topic of the laser (`sensor_msgs/msg/LaserScan`).")
+    scan: str = Field(default="/scan", description='Topic of the laser (`sensor_msgs/msg/LaserScan`); "" for none.')
+    laser_port: str = Field(
+        default="",
+        pattern=_PORT,
+        description="A laser on YARP (`/cer/laser:o`) to be connected to `laser:i`; empty for none.",
+    )
     laser: tuple[float, float, float] | None = Field(
         default=None,
-        description="Where the laser is on the robot: metres, metres, degrees; empty: as `/tf` and `/tf_static` say.",
+        description="Where the laser is on the robot: metres, metres, degrees; empty: as `/tf` and `/tf_static` say,"
+        " and in the robot's middle where it is on YARP.",
     )
     pose: Literal["tf", "topic", "port"] = Field(
         default="tf",
@@ -41,6 +48,12 @@ class Mapper2DSection(ModuleSection):
     pose_topic: str = Field(
         default="/localization/pose",
         description="Topic of the robot's pose: `Odometry`, `PoseStamped` or `PoseWithCovarianceStamped`.",
+    )
+    pose_port: str = Field(
+        default="",
+        pattern=_PORT,
+        description="Who sends poses on YARP (`/baseControl/odometry:o`), to be connected to `odometry:i`; empty: it is"
+        " connected by others.",
     )
     initial_pose: str = Field(
         default="",

@@ -13,12 +13,14 @@ import pytest
 from bridge.stores.kinds import MAP
 from tests.modules.place import Place
 from tests.support.wait import until
+from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.sig.image import ImageRgb
+from yarp_compat.sig.vector import Vector
 
 BEAMS = 360
 RADIUS = 2.02
@@ -30,6 +32,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         server = NameServer(port=made.port, gc_seconds=0)
         server.open()
         section = {"enabled": True, "pose": "port", "laser": [0.5, 0.0, 90.0], "period": 0.1, "width": 8, "height": 8}
+        section |= {"laser_port": "/robot/laser:o", "pose_port": "/robot/odometry:o"}
         made.worker.start(made.config(modules={"mapper2d": section}))
         until(lambda: made.names.query("/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
         until(lambda: made.names.query("/mapper2D/odometry:i"), "all ports are registered", 30)
@@ -104,6 +107,29 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
     assert "not on the map's picture" in str(place.status("mapper2d"))
+
+
+def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
+    asked(place, "clear")
+    asked(place, "start")
+    with Writer("/robot/laser:o", naming=place.names) as laser, Writer("/robot/odometry:o", naming=place.names) as base:
+
+        def mapped() -> bool:
+            envelope = f"1 {time.time():.9f}"
+            base.write(OdometryData(1.0, 2.0, 30.0), envelope=envelope)
+            laser.write(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), envelope=envelope)
+            return bool((place.status("mapper2d") or {}).get("scans", 0) > 3)
+
+        until(mapped, "scans are mapped", 30)
+    assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
+    assert (place.status("mapper2d") or {})["scans"] > 3
+    assert asked(place, "save_to_mapserver") == ["Map map saved into the store."]
+    grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
+    middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
+    column, row = grid.cells_at(middle)
+    assert grid.flags[row, column] == MapFlag.FREE
+    column, row = grid.cells_at((middle[0] + RADIUS, middle[1]))
+    assert (grid.flags[row, column - 1 : column + 2] == MapFlag.WALL).any()
 
 
 @pytest.mark.parametrize("name", ["../out", "/etc/out.map", "a/b", ".hidden", "out.txt"])
