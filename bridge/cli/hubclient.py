@@ -55,7 +55,8 @@ class Client:
         return Registry(folders=list(types.folders), mapping_rules=list(types.mapping_rules))
 
     def settle(self) -> None:
-        """Wait until the hub's graph is known here: until nothing new was heard of for a moment."""
+        """Wait until the hub's graph is known here: all that the router knew, and nothing new for a moment."""
+        self.hub.graph.catch_up(_SETTLE_SECONDS)
         changed = threading.Event()
         close = self.hub.graph.watch(changed.set)
         end = time.monotonic() + _SETTLE_SECONDS

@@ -199,6 +199,15 @@ class HubGraph:
 
         return close
 
+    def catch_up(self, seconds: float) -> None:
+        """Wait, in a zenoh client, until the router has told all that it knew when this was called.
+
+        It answers in order; what it is asked for is nothing that there is, nor that this session watches, as zenoh
+        would answer that by itself.
+        """
+        for _ in self._liveliness.get(f"{MIDSPAN_SPACE}/{self._domain}/told/{self._zid}", timeout=seconds):
+            pass
+
     def close(self) -> None:
         """Hear no more tokens. Safe to call twice."""
         self._watches.clear()

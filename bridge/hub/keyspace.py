@@ -201,7 +201,10 @@ class KeySpace:
         self._keep(self._session.liveliness().declare_token(f"{self._prefix}/{key}"))
 
     def tokens(self, keys: str, seconds: float = 2.0) -> list[str]:
-        """The tokens that are there now."""
+        """The tokens that are there now, of keys that this session does not watch.
+
+        Those that it watches, zenoh lists from what it was told, and at times misses the one just told (zenoh 1.10).
+        """
         found: Any = self._session.liveliness().get(f"{self._prefix}/{keys}", timeout=seconds)
         return [self._below(str(reply.ok.key_expr)) for reply in found if reply.ok is not None]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
@@ -19,6 +19,7 @@ T = TypeVar("T")
 
 _SECONDS = 10.0
 _FIND_SECONDS = 2.0
+_FIND_AGAIN = 0.05
 _ALIVE = "@sync/alive/*/*"
 
 
@@ -35,9 +36,9 @@ class StoreClient:
 
     def __init__(self, space: KeySpace, daemon: str) -> None:
         self._space = space
-        there = threading.Event()  # not at once where the daemon, too, has only begun
-        space.watch(_ALIVE, lambda _, came: there.set() if came else None)
-        found = space.tokens(_ALIVE) if there.wait(_FIND_SECONDS) else []
+        end = time.monotonic() + _FIND_SECONDS  # not at once where the daemon, too, has only begun
+        while not (found := space.tokens(_ALIVE)) and time.monotonic() < end:
+            time.sleep(_FIND_AGAIN)
         copies = sorted((name != daemon, name, zid) for _, _, zid, name in (token.split("/", 3) for token in found))
         if not copies:
             raise StoreError("no daemon on the hub keeps a store; set store.enabled to true in its configuration")

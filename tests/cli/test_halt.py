@@ -18,6 +18,7 @@ from bridge.modules.loop import Loop
 from bridge.modules.node import Node
 from tests.cli.conftest import Midspan
 from tests.cli.workers import FakeWorker
+from tests.support.faults import FaultProxy
 from tests.support.hub import HubNetwork
 from tests.support.wait import until
 
@@ -112,3 +113,14 @@ def test_publishers_of_velocities_are_reason_enough(midspan: Midspan, network: H
     until(lambda: any(to_json(registry, TWIST, s.data())["linear"]["x"] == 0.0 for s in heard), "zero is heard")
     subscription.close()
     hub.close()
+
+
+def test_over_a_slow_network_nothing_is_missed(midspan: Midspan, network: HubNetwork, registry: Registry) -> None:
+    heard: list[Any] = []
+    with Hub.open(network.settings("robot")) as hub, FaultProxy(network.port) as slow:
+        hub.subscription("/cmd_vel", TWIST, registry.ros2(TWIST).type_id, Qos(), heard.append)
+        until(lambda: midspan("topic", "list").out.split() == ["/cmd_vel"], "the router knows it")
+        slow.delay = 0.15
+        done = midspan("halt", "--seconds", "0.5", "--router", f"tcp/127.0.0.1:{slow.port}")
+        assert (done.code, done.out) == (0, "/cmd_vel: zero velocity, 1 listener on the hub\n"), done
+        until(lambda: heard, "zero is heard")
