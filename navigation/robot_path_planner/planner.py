@@ -136,9 +136,12 @@ class PathPlanner:
         before, self._ground = self._ground, ground
         self._clutter = Clutter(ground, self.settings.obstacle_memory) if ground else None
         task = self._task
-        if task is None or ground is None or task.due:
+        if task is None or task.due:
             return
-        if before is None or before.name != ground.name:
+        if ground is None:
+            if task.arrived is None:  # at a link another map is waited for, whatever comes between
+                task.due = "the map is gone"
+        elif before is None or before.name != ground.name:
             task.due = f"the map is {ground.name} now"
         elif task.arrived is None and blocked(ground, ground.weights == 0, self._line(task)):
             task.due = "the map has changed"
@@ -183,8 +186,10 @@ class PathPlanner:
             self.status = Status(State.PAUSED, "paused")
 
     def resume(self) -> None:
-        """Go on."""
+        """Go on, also where who drives has paused by itself, as RobotGoto in a deadlock."""
         self._paused_until = -math.inf
+        if self._task is not None and self.status.state is State.PAUSED:
+            self._task.due, self._task.not_before = "it goes on", -math.inf
 
     def recompute(self) -> None:
         """Look for a way anew."""
@@ -303,6 +308,8 @@ class PathPlanner:
         task.arrived = task.closed_since = None
         self._watched = now
         if _is_there(pose, task.waypoint) and task.last:
+            if not local.state.ended:  # it drives to where the robot was sent before
+                local.cancel()
             self._arrive(task, now, local)
             return
         self._send(task, local)

@@ -48,6 +48,15 @@ def test_a_goal_where_it_stands_is_reached_at_once() -> None:
     assert drive.local.sent[-1][1].heading
 
 
+def test_a_goal_where_it_stands_stops_who_drives_elsewhere() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    here = drive.local.pose
+    assert drive.goto(Pose(here.x + 0.05, here.y, here.theta)).state is State.REACHED
+    assert drive.local.sent[-1][0] == EAST
+    assert drive.local.state is State.IDLE
+
+
 def test_distance_remaining_falls_to_nothing() -> None:
     drive = Drive(floor(*ROOMS), Pose(1.0, 2.5, 0.0))
     drive.planner.goal(EAST)
@@ -95,6 +104,16 @@ def test_cancelling_and_pausing_stop_it() -> None:
     drive.planner.cancel()
     assert drive.tick().state is State.IDLE
     assert drive.local.state is State.IDLE
+
+
+def test_who_drives_pauses_by_itself_until_it_is_told_to_go_on() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.local.state, drive.local.reason = State.PAUSED, "deadlock: no progress for 20 s"
+    drive.run(5.0)
+    assert drive.planner.status[:2] == (State.PAUSED, "deadlock: no progress for 20 s")
+    drive.planner.resume()
+    assert drive.run(30.0).state is State.REACHED
 
 
 @pytest.mark.parametrize("patience", [5.0, math.inf])
@@ -184,6 +203,15 @@ def test_no_map_says_so() -> None:
     assert (status.state, status.fault) == (State.ABORTED, Fault.NO_MAP)
 
 
+def test_a_map_that_is_taken_away_on_the_way_stops_it_and_says_so() -> None:
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    drive.planner.use_map(None)
+    status = drive.run(1.0)
+    assert (status.state, status.fault) == (State.ABORTED, Fault.NO_MAP)
+    assert drive.local.state is State.IDLE
+
+
 def test_a_navigator_that_goes_away_is_waited_for() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
@@ -238,6 +266,8 @@ def test_a_goal_on_another_map_is_driven_to_over_a_link() -> None:
     assert "waits to be on the map up" in status.reason
     assert drive.local.pose.distance(LIFT.first.pose) < 0.05
     drive.run(20.0)
+    drive.planner.use_map(None)  # between two maps there is none
+    drive.tick()
     drive.planner.use_map(atlas.maps["up"])
     drive.local.pose = Pose(0.5, 0.5, 0.0)  # not localised on the new map yet
     assert "localised near lift 1" in drive.tick().reason
