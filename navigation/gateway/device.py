@@ -100,8 +100,7 @@ class Device:
 
     def applyVelocityCommand(self, x_vel: float, y_vel: float, theta_vel: float, timeout: float) -> None:
         def command() -> None:
-            drive = self._gateway.drive
-            if self._gateway.driving and not (drive is not None and drive.paused):
+            if self._gateway.has_base:
                 raise RefusedError("the planner drives; stop or suspend it first")
             self._commander.command(Velocity(x_vel, y_vel, theta_vel), timeout)
 

@@ -190,6 +190,12 @@ class Gateway:
     @property
     def choices(self) -> tuple[str, ...]:
         """The planners that can be chosen."""
+    @property
+    def has_base(self) -> bool:
+        """Whether the planner commands the base, or may."""
+        drive = self.drive
+        return self.driving and not (drive is not None and drive.paused and drive.below is None)
+
         return self._section.choices
 
     @property
@@ -408,9 +414,10 @@ class Gateway:
     def _changed(self) -> None:
         """Tell the status, where it is another one."""
         if self.drive is None and not self.link.others and self.link.ended is not None:
-            (goal, ended), self.link.ended = self.link.ended, None
+            (goal, ended, why), self.link.ended = self.link.ended, None
             told = self.link.told(goal)
-            self._last = (ended, told[1] if told and told[1] else f"a goal that {self.planner} was given itself")
+            why = why or (told[1] if told else "")
+            self._last = (ended, why or f"a goal that {self.planner} was given itself")
         drive = self.drive
         said = (*self.state(), drive and drive.id, drive and drive.at, None if drive else tuple(self.link.others[-1:]))
         if said != self._said:

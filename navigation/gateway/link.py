@@ -34,7 +34,7 @@ class Link:
 
     Attributes:
         lost_at: when it was last seen not to be there (monotonic); before the first look it was not.
-        ended: a goal of others that ended last, and how.
+        ended: a goal of others that ended last, how, and why where that is known.
         path: what it told last, as are ``local_map`` and ``current_goal``.
     """
 
@@ -48,8 +48,10 @@ class Link:
         self._orphans: dict[bytes, float] = {}
         self._listed: dict[bytes, Status] = {}
         self._own: Message | None = None
-        self.ended: tuple[bytes, State] | None = None
+        self.ended: tuple[bytes, State, str] | None = None
         self.path: Message | None = None
+        self._lister = b""
+        self._followed: bytes | None = None
         self.local_map: Message | None = None
         self.current_goal: Message | None = None
         other = section.others.get(planner)
@@ -61,8 +63,9 @@ class Link:
             "current_goal": (other.current_goal if other else "", POSE),
         }
         self._ends = [
-            node.subscription(parts(action).status, STATUSES, self._hear_list, KEPT),
+            self._list,
             node.subscription(f"{base}/status", STATUS, self._hear_status, KEPT),
+        self._list = node.subscription(parts(action).status, STATUSES, self._hear_list, KEPT)
             *(
                 node.subscription(topic or f"{base}/{name}", kind, partial(setattr, self, name), KEPT)
                 for name, (topic, kind) in topics.items()
@@ -110,7 +113,13 @@ class Link:
 
     def look(self) -> None:
         """Note whether it is there; have it give up goals that ended here while the link to it was cut."""
-        if not self.ready:
+        ready = self.ready
+        if ready:
+            self._forget_the_dead()
+        if self._followed is not None and not self.others:
+            self.ended = self._followed, State.ABORTED, f"the planner {self.planner} has gone"
+        self._follow()
+        if not ready:
             self.lost_at = time.monotonic()
             self._orphans.clear()
             return
@@ -126,6 +135,16 @@ class Link:
     def cancel_all(self) -> None:
         """Have it give up all goals, also those of others."""
         self._client.cancel()
+    def _forget_the_dead(self) -> None:
+        """Drop the list of a program that has gone, once another one is there: that one has none of its goals."""
+        there = {one.gid for one in self._host.node.hub.graph.publishers(self._list.topic)}
+        if there and self._lister not in there:
+            self._listed = {}
+
+    def _follow(self) -> None:
+        others = self.others
+        self._followed = others[-1] if others else None
+
 
     def close(self) -> None:
         """Hear no more of it."""
@@ -138,8 +157,9 @@ class Link:
         for goal in self.others:
             end = listed.get(goal, Status.ABORTED)
             if end.terminal:
-                self.ended = goal, _ENDS[end]
-        self._listed = listed
+                self.ended = goal, _ENDS[end], ""
+        self._listed, self._lister = listed, self._list.sender
+        self._follow()
         self._changed()
 
     def _hear_status(self, message: Message) -> None:

@@ -45,7 +45,7 @@ class GatewayModule(Module):
         self.gateway = Gateway(host, section, frames, self._tell)
         host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
         host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
-        Services(host.node, self.gateway, places)
+        Services(host.node, self.gateway, places, self._commander)
         self._answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
         for door in section.doors.yarp:
             host.yarp.serve(f"{door}/rpc", self._answers)
@@ -72,9 +72,11 @@ class GatewayModule(Module):
         self._told.publish(status)
         self._state = status["state"]
         drive = self.gateway.drive
-        if drive is not None and drive.who != WHO:
+        if drive is None and self.gateway.driving:
+            self._answers.target_name = ""
+        elif drive is not None and drive.who != WHO:
             self._answers.target_name = drive.name
-        if status["state"] == State.MOVING.value:
+        if self.gateway.has_base:
             self._commander.stop()
         self._say()
 

@@ -214,6 +214,21 @@ def test_goals_that_the_planner_was_given_itself_are_seen_and_can_be_stopped(rig
     rig.state(State.IDLE)
 
 
+def test_a_planner_that_dies_with_a_goal_that_it_was_given_itself_is_no_success(rig: Rig) -> None:
+    asked = Asked(rig.client, pose(1.0))
+    rig.planner.reach(rig.planner.until(1))
+    assert asked.end()[0] == "SUCCEEDED"
+    Asked(rig.client, pose(2.0), "/planner/robot_goto/navigate_to_pose")
+    rig.state(State.MOVING, "itself")
+    rig.planners.pop("robot_goto").close()
+    rig.state(State.ABORTED, "robot_goto has gone")
+    rig.planner = rig.have("robot_goto")  # another program, which has none of the goals
+    until(lambda: not rig.gateway.driving, "nothing drives", 20)
+    assert rig.ask("choose_planner", name="mine")["success"]
+    assert rig.ask("choose_planner", name="robot_goto")["success"]
+    until(lambda: rig.gateway.link.ready, "the planner is found", 20)
+
+
 def test_a_direct_goal_that_takes_the_place_is_told_to_our_client(rig: Rig) -> None:
     asked = Asked(rig.client, pose(1.0))
     rig.planner.until(1)

@@ -170,6 +170,9 @@ def test_velocities_are_commanded_while_nothing_drives(rig: Rig, yarp: INavigati
     assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
     assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
+    assert rig.ask("stop")["success"]
+    assert not yarp.get_last_velocity_command_RPC()[0]
+    assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
     rig.planner.until(1)
     rig.state(State.MOVING)
     until(lambda: told[-1] == (0.0, 0.0), "the planner has the base for itself", 20)
