@@ -24,7 +24,7 @@ from typing import Any
 
 import zenoh
 
-from bridge.hub.errors import zenoh_reason
+from bridge.hub.errors import HubError, zenoh_reason
 
 _log = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ class Mesh:
                     while (more := self._listener.try_recv()) is not None:
                         self._take(more)
                     self._mend()
-                except zenoh.ZError as err:  # the session is being closed, or zenoh cannot open another
+                except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
                     _log.debug("lost links are not mended: %s", zenoh_reason(err))
                 oldest = time.monotonic() - _REMEMBERED_SECONDS
                 self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}

@@ -170,8 +170,9 @@ class Hub:
         """Who is linked with the routers of this session, as far as they tell."""
         routers = {str(zid) for zid in self._session.info.routers_zid()}
         answers = self._control.ask(MEMBERS, {}, "*", "router", 1.0) if routers else []
-        told = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
-        return {str(zid) for value in told for zid in value["members"]} if told else None
+        values = [a.value for a in answers if isinstance(a.value, dict) and a.value.get("zid") in routers]
+        told = [value["members"] for value in values if isinstance(value.get("members"), list)]
+        return {str(zid) for members in told for zid in members} if told else None
 
     def publisher(
         self,
