@@ -39,7 +39,7 @@ class Device:
     # -- targets -------------------------------------------------------------------------------------------------------
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        self._do(lambda: self._begin([self._places.target(loc)]))
+        self._do(lambda: self._begin([self._places.known(loc)]))
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def relative() -> None:
@@ -51,7 +51,7 @@ class Device:
         self._do(relative)
 
     def followPath(self, path: Map2DPath) -> None:
-        self._do(lambda: self._begin([self._places.target(place) for place in path.waypoints]))
+        self._do(lambda: self._begin([self._places.known(place) for place in path.waypoints]))
 
     def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
         return self._do(self._where_to)
@@ -83,9 +83,8 @@ class Device:
     def recomputeCurrentNavigationPath(self) -> None:
         self._do(self._gateway.recompute)
 
-    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:
-        if kind is not TrajectoryTypeEnum.global_trajectory:
-            raise CallFailed(ReturnCode.NOT_IMPLEMENTED, "a local navigator's own way is not known here")
+    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
+        """YARP's robotPathPlanner answers either kind with its way."""
         return self._do(lambda: Map2DPath(self._way()) if self._gateway.driving else None)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:

@@ -17,6 +17,9 @@ from navigation.status import STATUS, State
 NAVIGATE = "nav2_msgs/action/NavigateToPose"
 PATH, GRID, POSE = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid", "geometry_msgs/msg/PoseStamped"
 KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+_LOCAL = {"robot_path_planner": "robot_goto"}
+"""Who has the local map of a planner that drives by another."""
+
 _SENT_KEPT = 1000
 _AGAIN_SECONDS = 5.0
 
@@ -47,11 +50,11 @@ class Link:
         self.lost_at = time.monotonic()
         self._orphans: dict[bytes, float] = {}
         self._listed: dict[bytes, Status] = {}
+        self._lister = b""
+        self._followed: bytes | None = None
         self._own: Message | None = None
         self.ended: tuple[bytes, State, str] | None = None
         self.path: Message | None = None
-        self._lister = b""
-        self._followed: bytes | None = None
         self.local_map: Message | None = None
         self.current_goal: Message | None = None
         other = section.others.get(planner)
@@ -59,13 +62,13 @@ class Link:
         node = host.node
         topics = {
             "path": (other.path if other else "", PATH),
-            "local_map": (other.local_map if other else "", GRID),
+            "local_map": (other.local_map if other else f"/planner/{_LOCAL.get(planner, planner)}/local_map", GRID),
             "current_goal": (other.current_goal if other else "", POSE),
         }
+        self._list = node.subscription(parts(action).status, STATUSES, self._hear_list, KEPT)
         self._ends = [
             self._list,
             node.subscription(f"{base}/status", STATUS, self._hear_status, KEPT),
-        self._list = node.subscription(parts(action).status, STATUSES, self._hear_list, KEPT)
             *(
                 node.subscription(topic or f"{base}/{name}", kind, partial(setattr, self, name), KEPT)
                 for name, (topic, kind) in topics.items()
@@ -132,9 +135,6 @@ class Link:
                 self._orphans[one] = now + _AGAIN_SECONDS
                 self._client.cancel(one)
 
-    def cancel_all(self) -> None:
-        """Have it give up all goals, also those of others."""
-        self._client.cancel()
     def _forget_the_dead(self) -> None:
         """Drop the list of a program that has gone, once another one is there: that one has none of its goals."""
         there = {one.gid for one in self._host.node.hub.graph.publishers(self._list.topic)}
@@ -145,6 +145,9 @@ class Link:
         others = self.others
         self._followed = others[-1] if others else None
 
+    def cancel_all(self) -> None:
+        """Have it give up all goals, also those of others."""
+        self._client.cancel()
 
     def close(self) -> None:
         """Hear no more of it."""

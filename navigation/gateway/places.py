@@ -70,6 +70,17 @@ class Places:
         frame = place.map_id if elsewhere else self._frame
         return Target(Pose(place.x, place.y, math.radians(place.theta)), frame)
 
+    def known(self, place: Map2DLocation) -> Target:
+        """A goal at a place.
+
+        Raises:
+            LookupError: the store has maps, and not the place's.
+        """
+        target, store = self.target(place), self.store
+        if target.frame != self._frame and store is not None and target.frame not in (maps := store.names(MAP)):
+            raise LookupError(f"it is on the map {target.frame}, which is not here; there are: {', '.join(maps[:20])}")
+        return target
+
     def location(self, message: Mapping[str, Any] | Target) -> Map2DLocation:
         """A ``geometry_msgs/PoseStamped``, or a target, as a place on a map."""
         if isinstance(message, Target):

@@ -73,4 +73,6 @@ class Localization2DServer(ILocalization2DMsgs):
         numbers = (loc.x, loc.y, loc.theta, *(() if covariance is None else covariance.ravel()))
         if not all(map(math.isfinite, numbers)):
             raise CallFailed(ReturnCode.METHOD_FAILED, "the pose or its covariance has numbers that are not finite")
+        if covariance is not None and covariance.diagonal().min() < 0.0:
+            raise CallFailed(ReturnCode.METHOD_FAILED, "the pose's covariance has variances below zero")
         return self._calls.done("setInitialPose", loc, covariance)

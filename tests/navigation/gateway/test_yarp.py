@@ -155,7 +155,9 @@ def test_the_way_and_the_maps(rig: Rig, yarp: INavigation2DMsgs) -> None:
     local.publish(to_grid(MapGrid2D.of([[0] * 7] * 7)))
     kind = NavigationMapTypeEnum.local_map
     until(lambda: yarp.get_current_navigation_map_RPC(kind)[1].m_width == 7, "the local map is there", 20)
-    assert not yarp.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.local_trajectory)[0]
+    assert len(yarp.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.local_trajectory)[1].waypoints) == 6
+    assert not yarp.goto_target_by_absolute_location_RPC(Map2DLocation("cellar", 1.0, 2.0))  # there is no such map
+    rig.state(State.MOVING)
 
 
 def test_velocities_are_commanded_while_nothing_drives(rig: Rig, yarp: INavigation2DMsgs) -> None:
@@ -168,11 +170,11 @@ def test_velocities_are_commanded_while_nothing_drives(rig: Rig, yarp: INavigati
     until(lambda: told[-1] == (0.0, 0.0), "its time is over", 20)
     until(lambda: not yarp.get_last_velocity_command_RPC()[0], "nothing is commanded", 20)
     assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
-    assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
-    assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
     assert rig.ask("stop")["success"]
     assert not yarp.get_last_velocity_command_RPC()[0]
     assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
+    assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
+    assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
     rig.planner.until(1)
     rig.state(State.MOVING)
     until(lambda: told[-1] == (0.0, 0.0), "the planner has the base for itself", 20)
