@@ -125,5 +125,6 @@ class YarpNavigator:
     def _gone(self, why: str) -> None:
         with self._lock:
             self._state, self._reason = State.ERROR, why
-            # what was asked for is not asked again by itself: the planner sends a goal anew once the server is back
-            self._sent = self._number
+            # a goal is not sent again by itself: the planner does that once the server is back; a stop is
+            if self._wanted is not None:
+                self._sent = self._number

@@ -115,3 +115,16 @@ def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
     assert "/robotGoto/rpc" in network.navigator.reason
     network.port = network.opened()
     network.becomes(State.IDLE)
+
+
+def test_it_is_told_to_stop_until_it_hears(network: Network) -> None:
+    network.becomes(State.IDLE)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.becomes(State.MOVING)
+    with network.navigator._lock:
+        network.port.close()
+        network.navigator.cancel()
+    network.becomes(State.ERROR)
+    assert network.goto.state == "moving", "it has not heard"
+    network.port = network.opened()
+    until(lambda: network.goto.state == "idle", "it stops", 20)
