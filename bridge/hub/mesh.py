@@ -85,19 +85,24 @@ class Mesh:
         self._thread.join(2 * _INTRODUCTION_SECONDS)
 
     def _run(self) -> None:
-        for event in self._listener:  # until it is undeclared, or the session closed
-            self._take(event)
-            pause = _SOON_SECONDS
-            while self._lost and not self._closed.wait(pause):
-                try:
-                    while (more := self._listener.try_recv()) is not None:
-                        self._take(more)
-                    self._mend()
-                except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
-                    _log.debug("lost links are not mended: %s", zenoh_reason(err))
-                oldest = time.monotonic() - _REMEMBERED_SECONDS
-                self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
-                pause = min(2 * pause, _LONGEST_SECONDS)
+        with contextlib.suppress(zenoh.ZError):  # the listener was undeclared before this came to wait for it
+            for event in self._listener:  # until it is undeclared, or the session closed
+                self._take(event)
+                self._search()
+
+    def _search(self) -> None:
+        """Mend until nobody is lost any more."""
+        pause = _SOON_SECONDS
+        while self._lost and not self._closed.wait(pause):
+            try:
+                while (more := self._listener.try_recv()) is not None:
+                    self._take(more)
+                self._mend()
+            except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
+                _log.debug("lost links are not mended: %s", zenoh_reason(err))
+            oldest = time.monotonic() - _REMEMBERED_SECONDS
+            self._lost = {zid: at for zid, at in self._lost.items() if at > oldest}
+            pause = min(2 * pause, _LONGEST_SECONDS)
 
     def _take(self, event: zenoh.TransportEvent) -> None:
         """Note who is lost."""

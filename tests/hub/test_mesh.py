@@ -59,3 +59,9 @@ def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch)
         until(lambda: two.zid not in peers(one), "the link's end is known", 20)
         until(lambda: not one._mesh._lost, "nobody is looked for any more", 20)
         assert not one._mesh.mended
+
+
+def test_a_session_may_be_closed_before_its_thread_watches(hubs: QuickHub) -> None:
+    hub = Hub.open(hubs.settings("one"))
+    hub.close()
+    hub._mesh._run()
