@@ -3,7 +3,8 @@
 What crosses is ROS 2's: the services SendGoal and GetResult, and FeedbackMessage. ROS 1's edge has the same parts in
 ROS 1's serialisation, under the same names: ``move_base_msgs/action/MoveBase_SendGoal`` stands for
 ``nav2_msgs/action/NavigateToPose_SendGoal``. What is in them, a ROS 1 action's goal, result and feedback, are messages
-that actionlib sends (``move_base_msgs/MoveBaseGoal``), so they may also be known from connection headers alone.
+that actionlib sends (``move_base_msgs/MoveBaseGoal``), so they may also be known from connection headers alone. Before
+a result ROS 1's edge puts the text of actionlib's status, which stands for the result's ``error_msg`` in ROS 2.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from bridge.messages.names import is_ros1_name, is_ros2_name, legal_type, split_
 from bridge.messages.pairing import says_the_same
 from bridge.messages.pairs import Messages
 from bridge.messages.parser import closure
-from bridge.messages.parts import CONTENTS, actionlib_messages, made_parts
+from bridge.messages.parts import CONTENTS, actionlib_messages, made_parts, with_status_text
 from bridge.messages.services import unknown_type
 from bridge.messages.text import full_text
 
@@ -92,7 +93,7 @@ class Actions:
         ros2_action = self.ros2_name(action)
         one = self._ros1_content(action, content)
         two = self._ros2_content(ros2_action, part, one)
-        return f"{ros2_action}_{part}", self._ros1_types(base, one), self._ros2_types(ros2_action, two)
+        return f"{ros2_action}_{part}", self._ros1_types(base, part, one), self._ros2_types(ros2_action, two)
 
     def of_ros2(self, name: str, type_hash: str = "") -> tuple[str, Types, Types]:
         """A part of a ROS 2 action, and ROS 1's for it; see `of_ros1`.
@@ -114,7 +115,7 @@ class Actions:
             two, self._messages.to_ros1, f"{ros1_action}{content}"
         )
         base = ros1_action.replace("/", "/action/", 1)
-        return f"{base}_{part}", self._ros1_types(base, one), dict(root.types)
+        return f"{base}_{part}", self._ros1_types(base, part, one), dict(root.types)
 
     def _derived(self, name: str, type_hash: str) -> tuple[str, Types, Types]:
         """The part of a ROS 2 action that ROS 1 alone has."""
@@ -218,10 +219,11 @@ class Actions:
         wrappers = {f"{name.removesuffix('Goal')}ActionGoal" for name in goals}
         return [name.removesuffix("Goal") for name in goals if name not in wrappers]
 
-    def _ros1_types(self, base: str, content: Schema) -> Types:
+    def _ros1_types(self, base: str, part: str, content: Schema) -> Types:
         uuid = self._messages.ros2.installed(_UUID)
         assert uuid is not None  # rosbags' store has it
-        return {**made_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **content.types}
+        types = with_status_text(content) if part == "GetResult" else content.types
+        return {**made_parts(base, World.ROS1), **self._messages.to_ros1(uuid).types, **types}
 
     def _ros2_types(self, action: str, content: Schema) -> Types:
         types = made_parts(action, World.ROS2)

@@ -2,7 +2,8 @@
 
 By rule where a mapping rule lists the fields, else by name ignoring case (``CameraInfo.D`` is ``d``). ``Header.seq``
 has no counterpart and needs none. Fields on one side only get default values; where both sides have such fields the
-types are no pair, since nobody can tell which field became which.
+types are no pair, since nobody can tell which field became which. actionlib's status text (`parts.STATUS_TEXT`) stands
+for the ``error_msg`` of a ROS 2 action's result where no field of ROS 1's does; else it needs no counterpart.
 """
 
 from __future__ import annotations
@@ -10,12 +11,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, Definition, FieldType, Schema, Shape
+from bridge.messages.definition import PRIMITIVE_SIZES, TIME_TYPES, Definition, Field, FieldType, Schema, Shape
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.names import legal_fields
+from bridge.messages.parts import STATUS_TEXT
 from bridge.messages.rules import FieldRule, Rules
 
 Path = tuple[str, ...]
+Fields = tuple[tuple[Path, Path], ...]
+
+_ERROR_MSG = "error_msg"
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +29,7 @@ class Pair:
 
     ros1: Definition
     ros2: Definition
-    fields: tuple[tuple[Path, Path], ...]
+    fields: Fields
 
 
 PairTable = Mapping[tuple[str, str], Pair]
@@ -45,6 +50,7 @@ def pair_types(ros1: Schema, ros2: Schema, rules: Rules) -> PairTable:
         own1, own2 = ros1.sub(name1), ros2.sub(name2)
         rule = rules.fields(name1, name2)
         fields = _by_name(own1.root, own2.root) if rule is None else _by_rule(own1, own2, rule)
+        fields = _status_text(own1.root, own2.root, fields) + fields
         table[name1, name2] = Pair(own1.root, own2.root, fields)
         for path1, path2 in fields:
             kind1, kind2 = field_at(own1, path1), field_at(own2, path2)
@@ -75,8 +81,17 @@ def left_out(pairs: PairTable, rules: Rules) -> tuple[str, ...]:
 
 
 def _named(ros1: Definition) -> list[str]:
-    """The fields that need a counterpart: all but a header's ``seq``."""
-    return [field.name for field in ros1.fields if (ros1.name, field.name) != ("std_msgs/Header", "seq")]
+    """The fields that need a counterpart: all but a header's ``seq``, and actionlib's status text."""
+    needless = {STATUS_TEXT, "seq"} if ros1.name == "std_msgs/Header" else {STATUS_TEXT}
+    return [field.name for field in ros1.fields if field.name not in needless]
+
+
+def _status_text(ros1: Definition, ros2: Definition, fields: Fields) -> Fields:
+    """What actionlib's status text stands for."""
+    said = any(field.name == STATUS_TEXT for field in ros1.fields)
+    wanted = Field(_ERROR_MSG, FieldType("string")) in ros2.fields
+    pair = (STATUS_TEXT,), (_ERROR_MSG,)
+    return (pair,) if said and wanted and all(two != pair[1] for _, two in fields) else ()
 
 
 def says_the_same(ros1: Schema, ros2: Schema, rules: Rules) -> bool:
@@ -108,7 +123,7 @@ def field_at(schema: Schema, path: Path) -> FieldType | None:
     return kind
 
 
-def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> tuple[tuple[Path, Path], ...]:
+def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> Fields:
     pairs = [(tuple(one.split(".")), tuple(two.split("."))) for one, two in rule.fields.items()]
     for one, two in pairs:
         for schema, path in ((ros1, one), (ros2, two)):
@@ -123,7 +138,7 @@ def _by_rule(ros1: Schema, ros2: Schema, rule: FieldRule) -> tuple[tuple[Path, P
     return tuple(pairs)
 
 
-def _by_name(ros1: Definition, ros2: Definition) -> tuple[tuple[Path, Path], ...]:
+def _by_name(ros1: Definition, ros2: Definition) -> Fields:
     exact = {field.name: field.name for field in ros2.fields}
     lower = {field.name.lower(): field.name for field in ros2.fields}
     legal = legal_fields(field.name for field in ros1.fields)
@@ -137,8 +152,7 @@ def _by_name(ros1: Definition, ros2: Definition) -> tuple[tuple[Path, Path], ...
         else:
             taken.add(name)
             pairs.append(((field.name,), (name,)))
-    if ros1.name == "std_msgs/Header":
-        only1 = [name for name in only1 if name != "seq"]
+    only1 = [name for name in only1 if name in _named(ros1)]
     only2 = [field.name for field in ros2.fields if field.name not in taken]
     if only1 and only2:
         msg = (

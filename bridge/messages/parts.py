@@ -12,9 +12,10 @@ feedback: these are messages of ROS 1, ``pkg/NameGoal`` and so on, as genaction.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from bridge.messages.definition import Definition, World
+from bridge.messages.definition import Definition, Field, FieldType, Schema, World
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.names import split_part
 from bridge.messages.parser import parse_definition, parse_full, split_parts
@@ -24,6 +25,9 @@ CONTENTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedba
 
 ACTION_SERVICES = ("SendGoal", "GetResult")
 """An action's services with types of their own."""
+
+STATUS_TEXT = "actionlib_status_text"
+"""A field before a ROS 1 action's result, as GetResult of ROS 1's edge has it: the text of actionlib's GoalStatus."""
 
 CANCEL_GOAL = "action_msgs/srv/CancelGoal"
 """The third; on ROS 1's edge it is spelled so too."""
@@ -84,6 +88,13 @@ def actionlib_messages(action: str) -> dict[str, Definition]:
         f"{action}{part}": parse_definition(text.format(content=action), f"{action}{part}", World.ROS1)
         for part, text in _ACTIONLIB.items()
     }
+
+
+def with_status_text(result: Schema) -> dict[str, Definition]:
+    """A ROS 1 action's result and all that it nests, with the status's text before it."""
+    root = result.root
+    text = Field(STATUS_TEXT, FieldType("string"))
+    return {**result.types, root.name: replace(root, fields=(text, *root.fields), text="")}
 
 
 def parse_told(text: str, name: str, world: World) -> dict[str, Definition]:

@@ -19,7 +19,7 @@ from navigation.pose import Pose
 from navigation.status import Fault, State, status_message
 
 DOUBTFUL_SECONDS = 0.5
-"""After an end that the planner gave no reason for, so long is looked whether it is there at all."""
+"""After an end that the planner gave no error code for, so long is looked whether it is there at all."""
 
 SETTLING_SECONDS = 5.0
 """A rejection of a planner that came so lately is not believed: it is asked again."""
@@ -78,6 +78,14 @@ class Gateway:
         if self.drive is not None and self.drive.goal is goal:
             self._give_up("the client canceled it")
         return True
+
+    def lost(self, goal: Goal, why: str) -> None:
+        """A goal's client is cut off: the goal ends."""
+        drive = self.drive
+        if drive is not None and drive.goal is goal:
+            if drive.below is not None:
+                drive.below.cancel()
+            self._finish(drive, Status.ABORTED, Fault.OTHER, why)
 
     def begin(self, targets: Sequence[Target], who: str, name: str = "", goal: Goal | None = None) -> Drive:
         """Drive somewhere, instead of where it was driving to."""
@@ -183,6 +191,12 @@ class Gateway:
         return self.drive is not None or bool(self.link.others)
 
     @property
+    def has_base(self) -> bool:
+        """Whether the planner commands the base, or may."""
+        drive = self.drive
+        return self.driving and not (drive is not None and drive.paused and drive.below is None)
+
+    @property
     def frame(self) -> str:
         """The map's frame."""
         return self._section.frame
@@ -190,12 +204,6 @@ class Gateway:
     @property
     def choices(self) -> tuple[str, ...]:
         """The planners that can be chosen."""
-    @property
-    def has_base(self) -> bool:
-        """Whether the planner commands the base, or may."""
-        drive = self.drive
-        return self.driving and not (drive is not None and drive.paused and drive.below is None)
-
         return self._section.choices
 
     @property
@@ -308,13 +316,13 @@ class Gateway:
             self._changed()
         elif sent.status is Status.CANCELED:
             self._finish(drive, Status.CANCELED, code or Fault.OTHER, said or self._elsewhere("canceled it"))
-        elif result is not None and said:
-            self._finish(drive, Status.ABORTED, code or Fault.OTHER, said)
+        elif code:
+            self._finish(drive, Status.ABORTED, code, said or self._elsewhere("gave it up"))
         else:
-            self._host.loop.after(DOUBTFUL_SECONDS, lambda: self._judge(drive, sent, code, why))
+            self._host.loop.after(DOUBTFUL_SECONDS, lambda: self._judge(drive, sent, said))
 
-    def _judge(self, drive: Drive, sent: SentGoal, code: int, why: str) -> None:
-        """The planner gave no reason: it may be gone, or speak a protocol without reasons."""
+    def _judge(self, drive: Drive, sent: SentGoal, said: str) -> None:
+        """The planner gave no code: it is one of actionlib's, which has texts alone, or a bridge says that it is gone."""
         if self.drive is not drive or drive.sent is not sent or drive.paused or drive.stopping:
             return
         lost = self.link.lost_at
@@ -325,7 +333,7 @@ class Gateway:
         elif sent.accepted is False:
             self._finish(drive, Status.ABORTED, Fault.BAD_GOAL, f"{self.planner} rejected the goal")
         else:
-            self._finish(drive, Status.ABORTED, code or Fault.OTHER, why or self._elsewhere("gave it up"))
+            self._finish(drive, Status.ABORTED, Fault.OTHER, said or self._elsewhere("gave it up"))
 
     def _elsewhere(self, what: str) -> str:
         by = " for a goal that it was given itself" if self.link.others else ""
@@ -367,6 +375,8 @@ class Gateway:
             Status.CANCELED: (State.IDLE, why),
         }.get(status, (State.ABORTED, why))
         self.link.ended = None
+        if status is Status.ABORTED:
+            self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
         drive.end(status, code, why)
         self._settle()
         self._changed()

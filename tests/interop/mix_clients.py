@@ -34,6 +34,9 @@ class Client(Protocol):
     def end(self) -> str:
         """How the goal ended, "" while it has not."""
 
+    def why(self) -> str | None:
+        """What it heard of the reason; None where its protocol has no words for one."""
+
 
 class YarpClient:
     """A client of INavigation2D."""
@@ -63,6 +66,9 @@ class YarpClient:
     def end(self) -> str:
         ends = {"goal_reached": "succeeded", "idle": "canceled", "aborted": "aborted"}
         return ends.get(self._state(), "")
+
+    def why(self) -> None:
+        return None
 
     def _state(self) -> str:
         return self._remote.get_navigation_status_RPC()[1].name.removeprefix("navigation_status_")
@@ -94,6 +100,10 @@ class RosClient:
     def end(self) -> str:
         return _ENDS.get(self._told()["status"], "")
 
+    def why(self) -> str:
+        told = self._told()
+        return str(told["text"] if "text" in told else told["result"]["error_msg"])
+
     def _told(self) -> dict[str, Any]:
         return self.peer.ask("goal", id=self._goal, seconds=0.0)
 
@@ -122,3 +132,7 @@ class ZenohClient:
     def end(self) -> str:
         assert self._asked is not None
         return _ENDS.get(int(self._asked.sent.status), "") if self._asked.ended else ""
+
+    def why(self) -> str:
+        assert self._asked is not None
+        return self._asked.end()[1]

@@ -56,6 +56,9 @@ QUICK = {
 PARTS = ("goto", "feedback", "pause", "resume", "cancel", "abort")
 YARP, ROS1, ROS2, ZENOH = "YARP INavigation2D", "ROS 1 actionlib", "ROS 2 action", "zenoh (hub) action"
 OURS, MOVE_BASE, NAV2 = "ours (RobotPathPlanner)", "move_base (actionlib server)", "Nav2 (ROS 2 action server)"
+WHY = {OURS: "is off the map", MOVE_BASE: "Failed to find a valid plan.", NAV2: "no valid path to the goal"}
+"""What each says of a goal that cannot be reached."""
+
 IDS = {OURS: "robot_path_planner", MOVE_BASE: "move_base", NAV2: "nav2"}
 OWN = {(MOVE_BASE, ROS1), (NAV2, ROS2)}
 """Clients that speak to the planner itself: the gateway has no door there, and pauses nothing of theirs."""
@@ -184,7 +187,7 @@ class Mix:
             "pause": lambda: self._pause(client, own=own),
             "resume": lambda: self._resume(client, own=own),
             "cancel": lambda: self._cancel(client),
-            "abort": lambda: self._abort(client),
+            "abort": lambda: self._abort(client, WHY[planner], own=own),
         }
         for part in PARTS:
             yield _tried(planner, name, part, tries[part])
@@ -298,9 +301,12 @@ class Mix:
         self._ends(client, "canceled", "idle")
         return "yes"
 
-    def _abort(self, client: Client) -> str:
+    def _abort(self, client: Client, reason: str, *, own: bool) -> str:
         client.goto(NOWHERE)
         self._ends(client, "aborted", "aborted")
+        heard, said = client.why(), self.statuses[-1]["reason"]
+        assert heard is None or reason in heard, f"the client heard {heard!r}, not {reason!r}"
+        assert own or reason in said, f"/navigation/status said {said!r}, not {reason!r}"
         return "yes"
 
     def _ends(self, client: Client, end: str, state: str) -> None:

@@ -110,7 +110,8 @@ class Goal:
             result = handle.get_result()
             known = None if result is None else self.plain(result)
             accepted, ends = status != GoalStatus.REJECTED, self.state["ends"] + 1
-            self.tell(status=STATUSES.get(status, 0), accepted=accepted, result=known, ends=ends)
+            told = {"text": handle.get_goal_status_text(), "result": known}
+            self.tell(status=STATUSES.get(status, 0), accepted=accepted, ends=ends, **told)
         elif state in (CommState.PENDING, CommState.ACTIVE) and status != GoalStatus.REJECTED:
             self.tell(accepted=True)
 

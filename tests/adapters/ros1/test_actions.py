@@ -118,7 +118,7 @@ class HubClient:
         return self.begin("get_result", goal)
 
     def result(self, call):
-        state, data = wire.read_result_response(self.reply(call))
+        state, data, _ = wire.read_result_response(self.reply(call))
         return Ros2State(state), struct.unpack("<i", data)[0]
 
     def cancel(self, goal=ANY, stamp=ZERO):
@@ -401,7 +401,7 @@ def test_a_thousand_goals_at_once_end_as_their_server_says(master, edge, servers
     peer.ask("finish_all", id=server)
     ended = [wire.read_result_response(reply) for reply in hub.replies("get_result", len(rest))]
     wanted = [{0: 4, 1: 6, 3: 5}.get(n % 10) or (4, 6, 5)[n // 100 % 3] for n in rest]
-    assert [Ros2State(state) for state, _ in ended] == [Ros2State(w) for w in wanted]
+    assert [Ros2State(state) for state, _, _ in ended] == [Ros2State(w) for w in wanted]
     hub.close()
 
 

@@ -91,8 +91,13 @@ def accepted(answers):
 
 def result(answers):
     (reply,) = answers
-    number, body = wire.read_result_response(reply)
+    number, body, _ = wire.read_result_response(reply)
     return Ros2State(number), body
+
+
+def reason(answers):
+    (reply,) = answers
+    return wire.read_result_response(reply)[2]
 
 
 def cancelled(answers):
@@ -140,6 +145,33 @@ def test_a_goal_that_is_refused_after_it_was_pending_is_aborted(world):
     world.ends(1, Ros1State.REJECTED, b"why")
     assert accepted(answers)
     assert result(asked) == (Ros2State.ABORTED, b"why")
+
+
+@pytest.mark.parametrize("by_result", [True, False])
+@pytest.mark.parametrize(
+    ("state", "why"), [(Ros1State.ABORTED, "no way"), (Ros1State.PREEMPTED, "no way"), (Ros1State.SUCCEEDED, "")]
+)
+def test_what_the_server_says_of_a_goals_end_goes_with_its_result(world, state, why, by_result):
+    """Also where the result was lost; of one that was reached there is no error to tell of."""
+    world.send(1)
+    before = world.ask(1)
+    if by_result:
+        world.ends(1, state, text="no way")
+    else:
+        world.client.statuses([status(1, state, text="no way")])
+        world.passes(RESULT_SECONDS + 0.1)
+    assert [reason(before), reason(world.ask(1))] == [why, why]
+
+
+def test_goals_that_this_bridge_aborts_say_why(world):
+    gone, forgotten = world.send(1), world.send(2)
+    world.says((1, Ros1State.ACTIVE), (2, Ros1State.ACTIVE))
+    world.says((1, Ros1State.ACTIVE))
+    world.client.lost("its action server /move_base is gone")
+    assert accepted(gone)
+    assert accepted(forgotten)
+    assert reason(world.ask(1)) == "its action server /move_base is gone"
+    assert reason(world.ask(2)) == "the server does not know it any more"
 
 
 def test_a_result_that_comes_before_any_status_accepts_and_ends(world):

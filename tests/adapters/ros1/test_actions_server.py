@@ -67,8 +67,8 @@ class World:
         self.says({uuid: Ros2State.EXECUTING})
         return uuid
 
-    def ends(self, uuid, state, body=b"result"):
-        self.asked[uuid](wire.result_response(state, body))
+    def ends(self, uuid, state, body=b"result", text=""):
+        self.asked[uuid](wire.result_response(state, body, text))
 
     def says(self, states, stamp=TAKEN):
         self.server.states([(GoalInfo(u, stamp), s) for u, s in states.items()])
@@ -125,6 +125,14 @@ def test_feedback_shows_that_a_goal_executes(world):
 def test_the_states_of_the_end(world, state, seen):
     world.ends(world.running(), state)
     assert [r[:2] for r in world.results] == [("g", seen)]
+
+
+def test_what_the_server_says_of_the_end_is_the_status_text(world):
+    world.ends(world.running("a"), Ros2State.ABORTED, text="no valid path")
+    world.ends(world.running("b"), Ros2State.UNKNOWN, text="whatever")
+    unknown = "the action server does not know the goal any more"
+    assert [(i, text) for i, _, _, text in world.results] == [("a", "no valid path"), ("b", unknown)]
+    assert world.lists[-1]["a"].text == "no valid path"
 
 
 def test_a_goal_that_is_cancelled_before_it_executes_is_recalled(world):

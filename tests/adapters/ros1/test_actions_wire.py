@@ -1,6 +1,7 @@
 """The bytes of actions, beside rosbags' own serialisers."""
 
 import contextlib
+import struct
 
 import numpy as np
 import pytest
@@ -68,15 +69,27 @@ def test_bodies_come_out_as_they_went_in(goal, status, body):
     assert wire.read_action_outcome(wire.action_outcome(7, Stamp(1, 2), status, body)) == (status, body)
 
 
-@given(uuids, stamps, st.booleans(), st.integers(-128, 127), st.lists(infos, max_size=4), st.binary(max_size=20))
-def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body):
+@given(
+    uuids, stamps, st.booleans(), st.integers(-128, 127), st.lists(infos, max_size=4), st.binary(max_size=20), st.text()
+)
+def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body, text):
     assert wire.read_with_uuid(uuid + body) == (uuid, body)
     assert wire.read_goal_response(wire.goal_response(stamp, accepted=accepted)) is accepted
-    assert wire.read_result_response(wire.result_response(number, body)) == (number, body)
+    assert wire.read_result_response(wire.result_response(number, body, text)) == (number, body, text)
     assert wire.read_cancel_request(wire.cancel_request(GoalInfo(uuid, stamp))) == (uuid, stamp)
     assert wire.read_cancel_response(wire.cancel_response(number, found)) == (number, found)
     states = [(info, number) for info in found]
     assert wire.read_goal_states(wire.goal_states(states)) == states
+
+
+def test_a_long_text_is_cut_and_what_is_no_utf_8_is_replaced():
+    """On the way in too: another machine's bridge may send any."""
+    long = wire.result_response(6, b"body", "é" * 3000)
+    assert wire.read_result_response(long) == (6, b"body", "é" * wire.MAX_TEXT)
+    foreign = b"\6" + struct.pack("<I", 3000) + b"x" * 3000 + b"body"
+    assert wire.read_result_response(foreign) == (6, b"body", "x" * wire.MAX_TEXT)
+    odd = wire.result_response(6, b"body", b"no \xff way".decode(errors="surrogateescape"))
+    assert wire.read_result_response(odd) == (6, b"body", "no ? way")
 
 
 READERS = [

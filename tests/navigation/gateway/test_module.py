@@ -63,6 +63,20 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
     rig.state(State.ABORTED, "no way leads there")
 
 
+def test_a_reason_without_a_code_is_that_of_a_planner_that_is_there(rig: Rig) -> None:
+    """Move_base's have none; in the same words a bridge says that the planner is gone, which may be back."""
+    asked = Asked(rig.client, pose(3.0))
+    rig.planner.give_up(rig.planner.until(1), "Failed to find a valid plan.", 0)
+    assert asked.end() == ("ABORTED", "Failed to find a valid plan.")
+    rig.state(State.ABORTED, "Failed to find a valid plan.")
+    asked = Asked(rig.client, pose(3.0))
+    goal = rig.planner.until(2)
+    rig.gateway.link.lost_at = math.inf  # it was away since the goal was sent
+    rig.planner.give_up(goal, "its action server is gone", 0)
+    rig.planner.reach(rig.planner.until(3))
+    assert asked.end() == ("SUCCEEDED", "")
+
+
 def test_a_goal_that_no_planner_could_follow_says_why(rig: Rig) -> None:
     bad = {
         "frame is empty": pose(1.0, frame=""),

@@ -130,7 +130,7 @@ class ActionClient:
             done(wire.result_response(Ros2State.UNKNOWN, self._empty))
         elif goal.result is not None:
             goal.told = True
-            done(wire.result_response(goal.state, goal.result))
+            done(wire.result_response(goal.state, goal.result, goal.reason))
         else:
             goal.waiting.append(done)
             return lambda: _remove(goal.waiting, done)
@@ -194,8 +194,7 @@ class ActionClient:
             elif goal.state.ended:
                 self._end(goal, goal.state, self._empty)
             else:
-                _log.warning("%s: goal %s is aborted: %s", self.name, goal.id, reason)
-                self._end(goal, Ros2State.ABORTED, self._empty)
+                self._abort(goal, reason)
         self._flush()
 
     def close(self, reason: str) -> None:
@@ -217,8 +216,7 @@ class ActionClient:
                 self._follow(goal, status)
         for goal in self._shelf.unfinished():
             if goal.listed and goal.id not in named and not goal.state.ended:
-                _log.warning("%s: goal %s is aborted: the server does not know it any more", self.name, goal.id)
-                self._end(goal, Ros2State.ABORTED, self._empty)
+                self._abort(goal, "the server does not know it any more")
         self._flush()
 
     def result(self, status: GoalStatus, body: bytes) -> None:
@@ -234,7 +232,7 @@ class ActionClient:
         if goal.refused:
             return
         state = TO_ROS2[Ros1State.parse(status.state)]
-        goal.whole = True
+        goal.whole, goal.text = True, status.text
         self._end(goal, state if state.ended else Ros2State.ABORTED, body)
         self._flush()
 
@@ -295,7 +293,7 @@ class ActionClient:
         state = TO_ROS2[Ros1State.parse(status.state)]
         if goal.refused or state <= goal.state or goal.state.ended:
             return
-        goal.state = state
+        goal.state, goal.text = state, status.text
         self._changed = True
         if state.ended:
             self._lost_results.append((self._clock() + RESULT_SECONDS, goal))
@@ -331,13 +329,18 @@ class ActionClient:
         goal.waiting.clear()
         self._answer_cancels()
 
+    def _abort(self, goal: Goal, why: str) -> None:
+        _log.warning("%s: goal %s is aborted: %s", self.name, goal.id, why)
+        goal.text = why
+        self._end(goal, Ros2State.ABORTED, self._empty)
+
     def _end(self, goal: Goal, state: Ros2State, result: bytes) -> None:
         goal.state, goal.result = state, result
         self._shelf.end(goal, self._clock())
         self._changed = True
         goal.told = goal.told or bool(goal.waiting)
         for done in goal.waiting:
-            done(wire.result_response(state, result))
+            done(wire.result_response(state, result, goal.reason))
         goal.waiting.clear()
         self._answer_cancels()
 

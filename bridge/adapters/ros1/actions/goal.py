@@ -32,6 +32,7 @@ class Goal:
         listed: the server's status list named it.
         refused: it was rejected: on ROS 2 there never was such a goal.
         result: its bytes, None until it has ended and its result came or is given up.
+        text: why it ended so, as the server or this bridge says it.
         told: somebody has that result.
         whole: the result came from the server.
     """
@@ -48,6 +49,7 @@ class Goal:
     listed: bool = False
     refused: bool = False
     result: bytes | None = None
+    text: str = ""
     told: bool = False
     whole: bool = False
 
@@ -55,6 +57,11 @@ class Goal:
     def info(self) -> GoalInfo:
         """Its UUID and the time of its acceptance."""
         return GoalInfo(self.uuid, self.stamp)
+
+    @property
+    def reason(self) -> str:
+        """Why it was not reached; of one that was, nothing: error messages belong to errors."""
+        return "" if self.state is Ros2State.SUCCEEDED else self.text
 
     @property
     def accepted(self) -> bool:

@@ -243,12 +243,12 @@ class ActionServer:
             if isinstance(reply, CallError):
                 text = str(reply)
             else:
-                number, body = wire.read_result_response(reply)
+                number, body, text = wire.read_result_response(reply)
                 state = Ros2State.parse(number)
+                if not state.ended:
+                    state, text = Ros2State.ABORTED, "the action server does not know the goal any more"
         except ConversionError as err:
             text = str(err)
-        if not text and not state.ended:
-            state, text = Ros2State.ABORTED, "the action server does not know the goal any more"
         self._end(entry, self._final(entry, state), body, text)
         self._flush()
 

@@ -3,7 +3,8 @@
 ROS 1 (actionlib_msgs 1.13, https://github.com/ros/common_msgs/tree/noetic-devel/actionlib_msgs/msg): an ActionGoal is
 Header, GoalID, goal; an ActionResult and an ActionFeedback are Header, GoalStatus, body. Of ROS 2's parts
 (https://design.ros2.org/articles/actions.html, action_msgs 2.0) these are the bytes that ROS 1 would give them: no
-alignment, a UUID is 16 bytes, a time two 32-bit integers.
+alignment, a UUID is 16 bytes, a time two 32-bit integers. A result has the status's text before it
+(`bridge.messages.parts.STATUS_TEXT`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from bridge.messages.errors import ConversionError
 
 MAX_STATUSES = 20_000
 """Goals that one status message may name."""
+
+MAX_TEXT = 1000
+"""Characters of a status's text that cross; what is beyond is cut off."""
 
 _TIME = struct.Struct("<II")
 _LENGTH = struct.Struct("<I")
@@ -209,15 +213,17 @@ def read_goal_response(payload: bytes) -> bool:
     return accepted
 
 
-def result_response(state: int, body: bytes) -> bytes:
-    """A GetResult response."""
-    return struct.pack("b", state) + body
+def result_response(state: int, body: bytes, text: str = "") -> bytes:
+    """A GetResult response; bytes of the text that are no UTF-8 become question marks, since ROS 2 has none such."""
+    said = text[:MAX_TEXT].encode(errors="replace")
+    return struct.pack("<bI", state, len(said)) + said + body
 
 
-def read_result_response(payload: bytes) -> tuple[int, bytes]:
-    """State and body of a GetResult response."""
+def read_result_response(payload: bytes) -> tuple[int, bytes, str]:
+    """State, body and text of a GetResult response."""
     cursor = _Cursor(payload, "a GetResult response")
-    return int.from_bytes(cursor.take(1), signed=True), cursor.rest()
+    state, text = int.from_bytes(cursor.take(1), signed=True), cursor.text()[:MAX_TEXT]
+    return state, cursor.rest(), text
 
 
 def cancel_request(info: GoalInfo) -> bytes:
