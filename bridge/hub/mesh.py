@@ -72,8 +72,10 @@ class Mesh:
         self._closed = Event()
         self.mended = 0
         # Not a callback: zenoh's thread, which waits for Python's lock there, has links to make and to end
-        events: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
-        self._listener: Any = session.info.declare_transport_events_listener(events)
+        channel: Any = zenoh.handlers.RingChannel(_MOST_EVENTS)
+        self._listener: Any = session.info.declare_transport_events_listener(channel)
+        # the listener itself can be undeclared by nobody while a thread begins to wait for it, nor be waited for after
+        self._events: Any = self._listener.handler
         self._thread = Thread(target=self._run, name="hub-mesh", daemon=True)
         self._thread.start()
 
@@ -85,17 +87,16 @@ class Mesh:
         self._thread.join(2 * _INTRODUCTION_SECONDS)
 
     def _run(self) -> None:
-        with contextlib.suppress(zenoh.ZError):  # the listener was undeclared before this came to wait for it
-            for event in self._listener:  # until it is undeclared, or the session closed
-                self._take(event)
-                self._search()
+        for event in self._events:  # until the listener is undeclared, or the session closed
+            self._take(event)
+            self._search()
 
     def _search(self) -> None:
         """Mend until nobody is lost any more."""
         pause = _SOON_SECONDS
         while self._lost and not self._closed.wait(pause):
             try:
-                while (more := self._listener.try_recv()) is not None:
+                while (more := self._events.try_recv()) is not None:
                     self._take(more)
                 self._mend()
             except (zenoh.ZError, HubError) as err:  # the session is being closed, or another cannot be opened
