@@ -32,7 +32,7 @@ def measure(ask: Callable[[], int | None], times: int = 5) -> Offset | None:
     """
     best: Offset | None = None
     for _ in range(times):
-        before, started = time.time_ns(), time.monotonic_ns()
+        started, before = time.monotonic_ns(), time.time_ns()  # in this order a pause in between is in the round trip
         told = ask()
         round_trip = time.monotonic_ns() - started
         if told is None:

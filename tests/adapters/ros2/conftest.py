@@ -110,7 +110,7 @@ def edge(registry: Registry, tmp_path: Path) -> Iterator[RunningEdge]:
     running = RunningEdge(registry, tmp_path)
     yield running
     running.edge.stop()
-    assert set(threading.enumerate()) <= before
+    until(lambda: set(threading.enumerate()) <= before, "its threads have ended")
     assert not running.failures
 
 
