@@ -8,7 +8,7 @@ from threading import Lock
 
 import zenoh
 
-from bridge.hub.call import Abandon, Call, CallError
+from bridge.hub.call import Abandon, Call, CallError, Done
 from bridge.hub.queries import LEFT, reply_error
 from bridge.hub.receiving import keep_thread_state
 
@@ -78,6 +78,10 @@ class Answers:
     def forgotten(self, asked: Asked) -> None:
         """A request waits no more."""
 
+    def done(self, asked: Asked) -> Done:
+        """What takes a request's reply."""
+        return partial(self._answer, asked)
+
     def closing(self) -> None:
         """The server begins to close."""
 
@@ -115,7 +119,7 @@ class Answers:
         if closed:
             reply_error(query, CallError(LEFT.format(name=self.name)))
             return
-        abandon = self._call(request, partial(self._answer, asked))
+        abandon = self._call(request, self.done(asked))
         with self._lock:
             asked.abandon = abandon
             left = asked.left

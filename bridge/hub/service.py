@@ -21,7 +21,7 @@ import zenoh
 
 from bridge.hub import attachment
 from bridge.hub.answers import Answers, Asked
-from bridge.hub.call import Call, CallError
+from bridge.hub.call import Call, CallError, Done
 from bridge.hub.errands import Errands
 from bridge.hub.errors import WireError
 from bridge.hub.graph import HubGraph
@@ -32,6 +32,21 @@ from bridge.hub.receiving import keep_thread_state
 _log = logging.getLogger(__name__)
 
 _MAX_CALLERS = 10_000
+
+
+class Replying:
+    """Takes the reply to one request.
+
+    Attributes:
+        caller: GID of who asks; empty where it does not say.
+    """
+
+    def __init__(self, done: Done, caller: bytes) -> None:
+        self._done, self.caller = done, caller
+
+    def __call__(self, result: bytes | CallError) -> None:
+        """End the call."""
+        self._done(result)
 
 
 class _Asked(Asked):
@@ -101,6 +116,11 @@ class HubServer(Answers):
             return None
         gid, number = asked.caller
         return attachment.pack(number, time.time_ns(), gid)
+
+    def done(self, asked: Asked) -> Replying:
+        """See `Answers.done`; it knows who asks."""
+        assert isinstance(asked, _Asked)
+        return Replying(super().done(asked), asked.caller[0] if asked.caller else b"")
 
     # -- callers that leave --------------------------------------------------------------------------------------------
 

@@ -166,6 +166,11 @@ class Hub:
         info = self._session.info
         return bool(info.routers_zid() or info.peers_zid())
 
+    def neighbours(self) -> set[str]:
+        """The sessions that this one has a direct link to: of this machine's programs, since none passes the door."""
+        self._check_open()
+        return {str(zid) for zid in self._session.info.peers_zid()}
+
     def _members(self) -> set[str] | None:
         """Who is linked with the routers of this session, as far as they tell."""
         routers = {str(zid) for zid in self._session.info.routers_zid()}

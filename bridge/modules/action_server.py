@@ -39,10 +39,13 @@ class Goal:
         info: its id and stamp, as ``action_msgs/msg/GoalInfo``.
         status: its state.
         cancel_wanted: a client asked for its cancellation.
+        client: GID of who sent it; empty where it does not say.
     """
 
-    def __init__(self, server: ActionServer, goal_id: bytes, goal: dict[str, Any], stamp: dict[str, int]) -> None:
-        self.id, self.goal, self.stamp = goal_id, goal, stamp
+    def __init__(
+        self, server: ActionServer, goal_id: bytes, goal: dict[str, Any], stamp: dict[str, int], client: bytes = b""
+    ) -> None:
+        self.id, self.goal, self.stamp, self.client = goal_id, goal, stamp, client
         # an array of numpy is written many times as fast as a list, and the states of many goals are told at once
         self.info = {"goal_id": {"uuid": np.frombuffer(goal_id, np.uint8)}, "stamp": stamp}
         self.status = Status.ACCEPTED
@@ -138,8 +141,9 @@ class ActionServer:
         self._status = node.publisher(names.status, STATUSES, latched, priority="state")
         self._feedback = node.publisher(names.feedback, types.feedback, Qos(depth=100))
         node.server(names.get_result, types.get_result, self._asked)
-        node.server(names.cancel_goal, CANCEL, self._cancelled)
-        node.server(names.send_goal, types.send_goal, self._sent)
+        at_once = None if brake is None else lambda request: _brake(brake, request["goal_info"])
+        node.server(names.cancel_goal, CANCEL, self._cancelled, at_once)
+        self._sending = node.server(names.send_goal, types.send_goal, self._sent)
         self._clients_of = names.send_goal
 
     @property
@@ -170,7 +174,9 @@ class ActionServer:
         if goal_id in self._goals or len(self._active) >= MAX_GOALS:
             answer({"accepted": False, "stamp": stamp})
             return
-        goal = self._goals[goal_id] = self._active[goal_id] = Goal(self, goal_id, request["goal"], stamp)
+        goal = self._goals[goal_id] = self._active[goal_id] = Goal(
+            self, goal_id, request["goal"], stamp, self._sending.caller
+        )
         self._starting = True
         try:
             accepted = self._take(goal)

@@ -31,13 +31,27 @@ Replied = Callable[[dict[str, Any] | CallError], None]
 
 
 class Server:
-    """Serves one service on the hub; made by `bridge.modules.node.Node.server`."""
+    """Serves one service on the hub; made by `bridge.modules.node.Node.server`.
 
-    def __init__(self, hub: Hub, registry: Registry, loop: Loop, name: str, type_name: str, serve: Serve) -> None:
+    Attributes:
+        caller: GID of who sent the request that is being served, on the module's thread.
+    """
+
+    def __init__(
+        self,
+        hub: Hub,
+        registry: Registry,
+        loop: Loop,
+        name: str,
+        type_name: str,
+        serve: Serve,
+        at_once: Callable[[dict[str, Any]], None] | None = None,
+    ) -> None:
         side = registry.service_ros2(type_name)
         self.topic, self.type_name = name, type_name
         self.counters = Counters()
-        self._loop, self._serve = loop, serve
+        self.caller = b""
+        self._loop, self._serve, self._at_once = loop, serve, at_once
         self._request, self._response = registry.service_schemas(type_name)
         self._check, _ = registry.hub_service_check(type_name)
         self._waiting = 0
@@ -76,6 +90,7 @@ class Server:
             return
         try:
             self._serve(request, pending.answer)
+        self.caller = pending.caller
         except Exception as err:
             _log.exception("%s failed", self.topic)
             pending.answer(CallError(f"{self.topic} failed: {type(err).__name__}: {err}"))
@@ -101,6 +116,7 @@ class _Pending:
         self._server, self._done = server, done
         self._lock = Lock()
         self.over = False
+        self.caller: bytes = getattr(done, "caller", b"")
 
     def answer(self, reply: Mapping[str, Any] | CallError) -> None:
         if self._end():

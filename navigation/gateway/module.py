@@ -10,6 +10,7 @@ from bridge.hub.qos import Qos
 from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.worker import Health
+from navigation.clients import CUT_OFF, FarClients
 from navigation.frames import Frames
 from navigation.gateway.device import WHO, Device
 from navigation.gateway.drive import TargetError, target_of
@@ -43,7 +44,8 @@ class GatewayModule(Module):
         frames = Frames(host, section.frame, section.base_frame)
         places, self._commander = Places(host, section.frame), Commander(host, section.velocity)
         self.gateway = Gateway(host, section, frames, self._tell)
-        host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
+        server = host.node.action_server(ACTION, NAVIGATE, self.gateway.take, self.gateway.cancel)
+        FarClients(host, server, lambda goal: self.gateway.lost(goal, CUT_OFF))
         host.node.subscription(GOAL_POSE, POSE, self._goal_pose, Qos(depth=1))
         Services(host.node, self.gateway, places, self._commander)
         self._answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))

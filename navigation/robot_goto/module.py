@@ -17,7 +17,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
-from navigation.clients import GONE, Clients
+from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.connected import Connected
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
@@ -70,6 +70,7 @@ class RobotGoto(Module):
         host.node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
         self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
         Clients(host, self._server, lambda: self._give_up(GONE))
+        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         self._offer(host, section)
         host.on_jump(self._forget)

@@ -18,7 +18,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP
 from bridge.worker import Health
-from navigation.clients import GONE, Clients
+from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.constraints import Constraints
 from navigation.frames import Frames, FramesError
 from navigation.goals import Place, goal_of
@@ -111,6 +111,7 @@ class RobotPathPlanner(Module):
             device = Device(self, host.loop.call)
             radius = lambda: self.planner.settings.robot_radius  # noqa: E731
             words = PlannerServer(device, radius, lambda value: host.loop.call(lambda: self.set_radius(value)))
+        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
             host.yarp.serve(f"{prefix}/rpc", words)
             host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
 
