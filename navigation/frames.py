@@ -12,6 +12,9 @@ from bridge.tf.stamped import TF, TF_STATIC, TF_TYPE
 from bridge.tf.transform import LATEST, Transform
 from navigation.pose import Pose
 
+LATE = 0.2
+"""Seconds by which a stamp may be newer than what was said of frames."""
+
 _DEPTH = 1000
 """Messages of `/tf` that may wait: every publisher of a robot sends its own at the same time."""
 

@@ -136,7 +136,7 @@ class Ours:
         pose = self.pose
         self._scans += 1
         if pose is not None and self._scans % _LOOK_EVERY == 0:
-            self.planner.scan(robot.now, pose, scan.ranges, scan.first, scan.step)
+            self.planner.scan(robot.now, pose, scan)
 
     def _known(self) -> tuple[Pose | None, str]:
         """The pose that may be driven by, and why there is none."""

@@ -194,7 +194,7 @@ def _mark(
             # seen free just before: something came; never seen before: it was there
             since[r, c] = now if now - passed[r, c] < MOVING_SECONDS else NEVER
         ended[r, c] = now
-    believed = np.minimum(ranges, reach)
+    believed = np.minimum(ranges, min(reach, farthest))
     begins = np.zeros(ranges.shape[0])
     _shorten(ranges, believed, step, nearest, reach, aside)
     _leave_out(ranges, begins, step, aside)

@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
 from navigation.pose import Pose
+from navigation.scan import Beams, believed
 
 AT_BASE = Pose(0.0, 0.0, 0.0)
-
-
-class Beams(Protocol):
-    """A scan: directions in radians, distances in metres."""
-
-    @property
-    def first(self) -> float:
-        """The first beam's direction on the laser."""
-
-    @property
-    def step(self) -> float:
-        """From each beam to the next."""
-
-    @property
-    def nearest(self) -> float:
-        """What is nearer was not measured."""
-
-    @property
-    def farthest(self) -> float:
-        """What is farther was not measured."""
-
-    @property
-    def ranges(self) -> NDArray[np.floating]:
-        """The distances; infinite where nothing was hit, NaN where nothing is known."""
 
 
 def scan_points(scan: Beams, laser: Pose = AT_BASE) -> NDArray[np.float64]:
@@ -43,9 +18,8 @@ def scan_points(scan: Beams, laser: Pose = AT_BASE) -> NDArray[np.float64]:
         scan: a turn of the laser.
         laser: where the laser is on the base.
     """
-    ranges = np.asarray(scan.ranges, np.float64)
-    with np.errstate(invalid="ignore"):
-        hit = np.isfinite(ranges) & (ranges >= scan.nearest) & (ranges < scan.farthest)
+    ranges = believed(scan)
+    hit = np.isfinite(ranges)
     angles = scan.first + np.flatnonzero(hit) * scan.step + laser.theta
     found = ranges[hit]
     return np.stack([laser.x + found * np.cos(angles), laser.y + found * np.sin(angles)], axis=1)

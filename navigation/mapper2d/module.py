@@ -7,9 +7,6 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from bridge.config.sections.mapper2d import Mapper2DSection
 from bridge.config.sections.section import Section
 from bridge.hub.qos import Durability, Qos
@@ -28,12 +25,12 @@ from navigation.mapper2d.settings import with_file
 from navigation.mapper2d.words import Words
 from navigation.maps.cdr import to_cdr
 from navigation.pose import Pose
-from navigation.robot_goto.beams import ScanError, of_yarp
+from navigation.scan import SCAN, ScanError, Turn, believed, of_ros, of_yarp
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.pythonic import Received
 from yarp_compat.wire.errors import WireError
 
-SCAN, GRID, TRIGGER = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "std_srvs/srv/Trigger"
+GRID, TRIGGER = "nav_msgs/msg/OccupancyGrid", "std_srvs/srv/Trigger"
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 _WAITING = 20
@@ -48,12 +45,8 @@ class _Scan(NamedTuple):
     """A scan that waits for its pose; ``came``: ns of the run's clock."""
 
     came: int
-    stamp: int
     frame: str
-    ranges: NDArray[np.float64]
-    first: float
-    step: float
-    farthest: float
+    turn: Turn
 
 
 class Mapper2D(Module):
@@ -112,13 +105,13 @@ class Mapper2D(Module):
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
 
     def _hear(self, message: dict[str, Any]) -> None:
-        now = self._host.clock.now_ns()
+        self._heard = now = self._host.clock.now_ns()
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
-        first, step, farthest = message["angle_min"], message["angle_increment"], message["range_max"]
-        ranges = np.array(message["ranges"], np.float64)
-        scan = _Scan(now, stamp or now, header["frame_id"], ranges, first, step, farthest)
-        self._take(scan, max(message["range_min"], 1e-3))
+        try:
+            self._take(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
+        except ScanError as err:
+            self._drop(str(err))
 
     def _hear_yarp(self, received: Received) -> None:
         """On the thread of the connection."""
@@ -127,16 +120,12 @@ class Mapper2D(Module):
             turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or now)
         except ScanError as err:
             raise WireError(str(err)) from None
-        scan = _Scan(now, turn.time_ns, "", turn.ranges, turn.first, turn.step, turn.farthest)
-        self._host.loop.call(lambda: self._take(scan, turn.nearest))
+        self._host.loop.call(lambda: self._take(_Scan(now, "", turn)))
 
-    def _take(self, scan: _Scan, nearest: float) -> None:
+    def _take(self, scan: _Scan) -> None:
         self._heard = scan.came
         if not self.mapper.mapping:
             return
-        with np.errstate(invalid="ignore"):
-            scan.ranges[scan.ranges < nearest] = np.nan
-            scan.ranges[scan.ranges > scan.farthest] = np.inf
         if len(self._waiting) == _WAITING:
             self._dropped += 1
         self._waiting.append(scan)
@@ -146,10 +135,10 @@ class Mapper2D(Module):
         """Map the scans whose poses are known by now; those that nobody says a pose of are dropped."""
         now = self._host.clock.now_ns()
         while self._waiting:
-            scan = self._waiting[0]
+            scan, turn = self._waiting[0], self._waiting[0].turn
             try:
-                pose = self._poses.laser(scan.frame, scan.stamp)
-                self.mapper.scan(pose, scan.ranges, scan.first, scan.step, scan.farthest)
+                pose = self._poses.laser(scan.frame, turn.time_ns)
+                self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
             except FramesError as err:
                 if now - scan.came < _PATIENCE_NS:
                     return

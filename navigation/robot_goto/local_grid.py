@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from navigation.algorithms.rolling_grid import NEVER, OCCUPIED, UNKNOWN, kernels
 from navigation.pose import Pose
+from navigation.scan import Beams
 
 RESOLUTION = 0.05
 SIDE = 100
@@ -21,32 +22,12 @@ NEAR = 1.5
 """Metres around the robot within which single cells are given."""
 
 
-class Scan(Protocol):
-    """A turn of a laser (`sim.laser.Scan`, `navigation.robot_goto.beams.Turn`)."""
+class Scan(Beams, Protocol):
+    """A turn of a laser (`sim.laser.Scan`, `navigation.scan.Turn`)."""
 
     @property
     def time_ns(self) -> int:
         """When it was made."""
-
-    @property
-    def first(self) -> float:
-        """The first beam's direction, radians."""
-
-    @property
-    def step(self) -> float:
-        """From each beam to the next, radians."""
-
-    @property
-    def nearest(self) -> float:
-        """What is nearer was not measured, metres."""
-
-    @property
-    def farthest(self) -> float:
-        """What is farther was not measured."""
-
-    @property
-    def ranges(self) -> NDArray[np.floating]:
-        """Metres; infinite where nothing was hit, NaN where nothing is known, minus infinity where it is too near."""
 
 
 class LocalGrid:

@@ -26,18 +26,18 @@ from navigation.maps.grid import from_grid
 from navigation.messages import pose_message
 from navigation.plan_error import PlanError
 from navigation.pose import Pose
-from navigation.robot_goto.beams import ScanError, laser_pose, moved_at, of_ros, of_yarp
+from navigation.robot_goto.beams import laser_pose, moved_at
 from navigation.robot_goto.device import GotoServer
 from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.settings import settings_of
 from navigation.robot_goto.told import PREFIX, Told, local_map
+from navigation.scan import SCAN, ScanError, of_ros, of_yarp
 from navigation.status import NO_GOAL, Fault, State
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 
 ACTION = "nav2_msgs/action/NavigateToPose"
-SCAN = "sensor_msgs/msg/LaserScan"
 LOCALIZATION = "/localization/status"
 _LOCALIZED = "localized_ok"
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from navigation.frames import Frames, FramesError
+from navigation.frames import LATE, Frames, FramesError
 from navigation.robot_path_planner.planner import PathPlanner
+from navigation.scan import ScanError, of_ros
 
-SCAN = "sensor_msgs/msg/LaserScan"
 _EVERY = 0.2
-_LATE = 0.2
-"""Seconds by which a scan may be newer than the frames."""
 
 
 class Laser:
@@ -37,18 +32,10 @@ class Laser:
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         try:
-            pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=_LATE)
-        except FramesError as err:
+            turn = of_ros(message, stamp)
+            pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=LATE)
+        except (FramesError, ScanError) as err:
             self.trouble = str(err)
             return
         self.trouble = ""
-        self._planner.scan(now, pose, believed(message), message["angle_min"], message["angle_increment"])
-
-
-def believed(message: dict[str, Any]) -> NDArray[np.float64]:
-    """The ranges: what is too near to be measured is NaN, what is too far infinite."""
-    ranges = np.array(message["ranges"], np.float64)
-    with np.errstate(invalid="ignore"):
-        ranges[ranges < max(message["range_min"], 1e-3)] = np.nan
-        ranges[ranges >= message["range_max"]] = np.inf
-    return ranges
+        self._planner.scan(now, pose, turn)

@@ -29,7 +29,7 @@ from navigation.pose import Pose
 from navigation.robot_path_planner.action_navigator import ACTION, ActionNavigator
 from navigation.robot_path_planner.clicks import goal_of_click
 from navigation.robot_path_planner.device import Device
-from navigation.robot_path_planner.laser import SCAN, Laser
+from navigation.robot_path_planner.laser import Laser
 from navigation.robot_path_planner.maps import StoreAtlas
 from navigation.robot_path_planner.picture import png
 from navigation.robot_path_planner.planner import PathPlanner
@@ -38,6 +38,7 @@ from navigation.robot_path_planner.told import PREFIX, Told
 from navigation.robot_path_planner.words import PlannerServer
 from navigation.robot_path_planner.yarp_navigator import YarpNavigator
 from navigation.status import NO_GOAL, Fault, State
+from navigation.scan import SCAN
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from navigation.constraints import Constraints
 from navigation.goals import Place
@@ -26,6 +25,7 @@ from navigation.robot_path_planner.local import LocalNavigator
 from navigation.robot_path_planner.settings import Settings
 from navigation.robot_path_planner.task import Task
 from navigation.robot_path_planner.way import Way, Waypoint, way
+from navigation.scan import Beams, believed
 from navigation.status import Fault, State
 
 _WATCH = 0.5
@@ -196,18 +196,17 @@ class PathPlanner:
         if self._task is not None:
             self._task.due, self._task.not_before = "it was asked for", -math.inf
 
-    def scan(self, now: float, laser: Pose, ranges: NDArray[np.float64], first: float, step: float) -> None:
+    def scan(self, now: float, laser: Pose, scan: Beams) -> None:
         """See what stands in the way.
 
         Args:
             now: seconds.
             laser: its pose on the map.
-            ranges: metres; infinite: nothing there, NaN: nothing is known.
-            first: radians from the laser's direction to the first beam.
-            step: radians from a beam to the next.
+            scan: what it measured.
         """
         if self._clutter is not None and self._task is not None:
-            self._clutter.see(laser, ranges, first, step, self.settings.obstacle_distance)
+            farthest = min(self.settings.obstacle_distance, scan.farthest)
+            self._clutter.see(laser, believed(scan), scan.first, scan.step, farthest)
             self._clutter.forget(now)
 
     def step(self, now: float, pose: Pose | None, local: LocalNavigator, lost: str = "") -> Status:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from navigation.pose import Pose
-from navigation.robot_goto.beams import Turn
 from navigation.robot_goto.command import STILL, Command
 from navigation.robot_goto.guard import Guard
 from navigation.robot_goto.local_grid import LocalGrid
 from navigation.robot_goto.settings import Settings
+from navigation.scan import Turn
 
 SETTINGS, ORIGIN = Settings(), Pose(0.0, 0.0, 0.0)
 FORWARD = Command(0.3)

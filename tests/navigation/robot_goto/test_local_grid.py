@@ -7,18 +7,16 @@ import pytest
 
 from navigation.algorithms.rolling_grid import OCCUPIED, UNKNOWN
 from navigation.pose import Pose
-from navigation.robot_goto.beams import ScanError, Turn, of_ros, of_yarp
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE, LocalGrid
-from yarp_compat.dev.laserscan import LaserScan2D
-from yarp_compat.sig.vector import Vector
+from navigation.scan import Turn
 
 BEAMS = 720
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
-def turn(seconds, ranges):
+def turn(seconds, ranges, farthest=20.0):
     full = np.full(BEAMS, ranges, float) if np.isscalar(ranges) else np.asarray(ranges, float)
-    return Turn(round(seconds * 1e9), -math.pi, math.tau / BEAMS, 0.1, 20.0, full)
+    return Turn(round(seconds * 1e9), -math.pi, math.tau / BEAMS, 0.1, farthest, full)
 
 
 def at(grid, now, x, y):
@@ -53,6 +51,15 @@ def test_nan_says_nothing_infinity_is_free_and_minus_infinity_stands_right_befor
     assert at(made, 1.0, 1.0, 0.0) == UNKNOWN
     assert at(made, 1.0, -1.0, 0.0) == 0
     assert at(made, 1.0, 0.0, 0.12) == OCCUPIED
+
+
+@pytest.mark.parametrize("nothing", [math.inf, 1.5])
+def test_where_nothing_is_hit_it_is_free_as_far_as_the_laser_sees(nothing):
+    made = grid()
+    made.scan(turn(1.0, nothing, farthest=1.5), ORIGIN)
+    assert at(made, 1.0, 1.4, 0.0) == 0
+    assert at(made, 1.0, 1.6, 0.0) == UNKNOWN
+    assert not made.count
 
 
 def test_what_was_seen_is_forgotten_in_time():
@@ -101,18 +108,3 @@ def test_merged_lasers_clear_nothing_beside_corners_and_blind_sectors():
     assert at(narrow, 1.0, 0.8, 0.03) == 0
     assert at(wide, 1.0, 0.8, 0.03) == UNKNOWN
     assert at(wide, 1.0, 0.8, 0.2) == 0
-
-
-def test_scans_of_ros_and_yarp():
-    message = {"angle_min": -1.0, "angle_increment": 0.5, "range_min": 0.0, "range_max": 5.0, "ranges": [1.0, 2.0]}
-    made = of_ros(message, 7)
-    assert (made.time_ns, made.first, made.step, made.nearest) == (7, -1.0, 0.5, 1e-3)
-    with pytest.raises(ScanError, match="by 0 rad"):
-        of_ros({**message, "angle_increment": 0.0}, 7)
-    with pytest.raises(ScanError, match="more than once"):
-        of_ros({**message, "angle_increment": 6.0}, 7)
-    with pytest.raises(ScanError, match="measures from"):
-        of_ros({**message, "range_max": math.nan}, 7)
-    scan = LaserScan2D(angle_min=0.0, angle_max=360.0, range_min=0.1, range_max=10.0, scans=Vector([1.0] * 4))
-    made = of_yarp(scan, 7)
-    assert made.step == pytest.approx(math.pi / 2)

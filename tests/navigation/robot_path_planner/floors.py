@@ -13,6 +13,7 @@ from navigation.robot_path_planner.ground import Ground, Zone
 from navigation.robot_path_planner.itinerary import Atlas
 from navigation.robot_path_planner.planner import PathPlanner, Status
 from navigation.robot_path_planner.settings import Settings
+from navigation.scan import Turn
 from navigation.status import State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -142,7 +143,8 @@ class Drive:
             beside = dx * dx + dy * dy - along * along
             hit = (along > 0) & (beside < radius * radius)
             ranges[hit] = np.minimum(ranges[hit], along[hit] - np.sqrt(radius * radius - beside[hit]))
-        self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), ranges, 0.0, math.tau / beams)
+        turn = Turn(round(self.now * 1e9), 0.0, math.tau / beams, 0.05, 8.0, ranges)
+        self.planner.scan(self.now, Pose(pose.x, pose.y, 0.0), turn)
 
     def goto(self, goal: Pose, seconds: float = 120.0, map_name: str = "") -> Status:
         """Drive to a goal until it has ended."""
