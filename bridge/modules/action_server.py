@@ -116,6 +116,10 @@ Take = Callable[[Goal], bool]
 Cancel = Callable[[Goal], bool]
 """``cancel(goal)``: whether its cancellation is begun; the goal is then to end by `Goal.canceled`, or otherwise."""
 
+Brake = Callable[[bytes], None]
+"""``brake(goal_id)``: a cancellation has come, of all goals where the id is zeros. On a thread of the hub, at once: the
+module's own may be busy."""
+
 
 class ActionServer:
     """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread."""
@@ -129,6 +133,7 @@ class ActionServer:
         cancel: Cancel | None = None,
         *,
         kept: float = KEPT_SECONDS,
+        brake: Brake | None = None,
     ) -> None:
         self.name, self.type_name = name, type_name
         self._node, self._take, self._cancel, self._kept = node, take, cancel, kept
@@ -234,6 +239,12 @@ class ActionServer:
             goal = self._ended.popleft()
             if self._goals.get(goal.id) is goal:
                 del self._goals[goal.id]
+
+
+def _brake(brake: Brake, info: Mapping[str, Any]) -> None:
+    goal_id = bytes(info["goal_id"]["uuid"])
+    if any(goal_id) or not _nanoseconds(info["stamp"]):
+        brake(goal_id)
 
 
 def _nanoseconds(stamp: Mapping[str, int]) -> int:

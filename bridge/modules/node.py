@@ -17,7 +17,7 @@ from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
 from bridge.messages.values import Reader, Writer
 from bridge.modules.action_client import ActionClient
-from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Cancel, Take
+from bridge.modules.action_server import KEPT_SECONDS, ActionServer, Brake, Cancel, Take
 from bridge.modules.loop import Loop
 from bridge.modules.services import Client, Serve, Server
 from bridge.routing.counters import Counters
@@ -152,9 +152,18 @@ class Node:
         self._ends.append(made)
         return made
 
-    def server(self, name: str, type_name: str, serve: Serve) -> Server:
-        """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`."""
-        made = Server(self.hub, self.registry, self.loop, name, type_name, serve)
+    def server(
+        self, name: str, type_name: str, serve: Serve, at_once: Callable[[dict[str, Any]], None] | None = None
+    ) -> Server:
+        """Serve a service (``std_srvs/srv/SetBool``); raises `bridge.messages.errors.MessageTypeError`.
+
+        Args:
+            name: the service's.
+            type_name: its type.
+            serve: called on the module's thread.
+            at_once: called with each request before, on a thread of the hub: it only sets a flag, wakes or sends.
+        """
+        made = Server(self.hub, self.registry, self.loop, name, type_name, serve, at_once)
         self._ends.append(made)
         return made
 
@@ -165,13 +174,20 @@ class Node:
         return made
 
     def action_server(
-        self, name: str, type_name: str, take: Take, cancel: Cancel | None = None, *, kept: float = KEPT_SECONDS
+        self,
+        name: str,
+        type_name: str,
+        take: Take,
+        cancel: Cancel | None = None,
+        *,
+        kept: float = KEPT_SECONDS,
+        brake: Brake | None = None,
     ) -> ActionServer:
         """Serve an action (``nav2_msgs/action/NavigateToPose``); results are kept for so many seconds.
 
         Raises `bridge.messages.errors.MessageTypeError`.
         """
-        return ActionServer(self, name, type_name, take, cancel, kept=kept)
+        return ActionServer(self, name, type_name, take, cancel, kept=kept, brake=brake)
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Send goals to an action; raises `bridge.messages.errors.MessageTypeError`."""

@@ -82,15 +82,17 @@ class Server:
         self.count(1)
         self.counters.crossed(len(payload))
         pending = _Pending(self, done)
+        if self._at_once is not None:
+            self._at_once(request)
         self._loop.post(lambda: self._begin(request, pending))
         return pending.abandon
 
     def _begin(self, request: dict[str, Any], pending: _Pending) -> None:
         if pending.over:
             return
+        self.caller = pending.caller
         try:
             self._serve(request, pending.answer)
-        self.caller = pending.caller
         except Exception as err:
             _log.exception("%s failed", self.topic)
             pending.answer(CallError(f"{self.topic} failed: {type(err).__name__}: {err}"))
@@ -114,9 +116,9 @@ class _Pending:
 
     def __init__(self, server: Server, done: Done) -> None:
         self._server, self._done = server, done
+        self.caller: bytes = getattr(done, "caller", b"")
         self._lock = Lock()
         self.over = False
-        self.caller: bytes = getattr(done, "caller", b"")
 
     def answer(self, reply: Mapping[str, Any] | CallError) -> None:
         if self._end():

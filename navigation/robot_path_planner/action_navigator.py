@@ -66,6 +66,12 @@ class ActionNavigator:
         if goal is not None and not goal.status.terminal:
             goal.cancel()
 
+    def brake(self) -> None:
+        """Have it stand still, whatever the module's thread is at; `cancel` is to follow. On any thread."""
+        goal = self._goal
+        if goal is not None and goal.active:
+            goal.cancel()
+
     def _driving(self, _feedback: dict[str, Any]) -> None:
         if self._state is State.PREPARING:
             self._state = State.MOVING

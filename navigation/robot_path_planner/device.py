@@ -37,6 +37,9 @@ class Asked(Protocol):
         """Give the goal up."""
 
     def local_map(self) -> MapGrid2D | None:
+    def brake(self) -> None:
+        """Have the robot stand still at once, on any thread."""
+
         """The map with what the laser sees on it."""
 
 
@@ -66,6 +69,7 @@ class Device:
 
     def stopNavigation(self) -> None:
         self._call(lambda: self._asked.stop_driving("stopped"))
+        self._asked.brake()
 
     def suspendNavigation(self, seconds: float) -> None:
         def pause() -> None:
@@ -74,6 +78,7 @@ class Device:
             self._asked.planner.pause(self._asked.now(), seconds)
 
         self._call(pause)
+        self._asked.brake()
 
     def resumeNavigation(self) -> None:
         self._call(self._asked.planner.resume)

@@ -12,6 +12,7 @@ from typing import Any
 
 from bridge.config.sections.robot_path_planner import YARP, RobotPathPlannerSection
 from bridge.config.sections.section import Section
+from bridge.hub.errands import Errands
 from bridge.hub.qos import Durability, Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
@@ -78,6 +79,8 @@ class RobotPathPlanner(Module):
         self._store_due = False
         self._grid: MapGrid2D | None = None
         self._local = self._navigator()
+        self._errands = Errands("midspan-brake")
+        self._closing.append(self._errands.close)
         self._listen()
         self._offer()
         self._take_map()
@@ -104,10 +107,12 @@ class RobotPathPlanner(Module):
 
     def _offer(self) -> None:
         host, prefix = self._host, self._section.prefix
-        self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
+        self._server = host.node.action_server(
+            f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel, brake=self._brake
+        )
         Clients(host, self._server, lambda: self._give_up(GONE))
         host.answer("picture", lambda _params: host.loop.call(self.picture))
-        host.answer("halt", lambda _params: host.loop.call(self.halt))
+        host.answer("halt", self._halt_asked)
         if prefix:
             device = Device(self, host.loop.call)
             radius = lambda: self.planner.settings.robot_radius  # noqa: E731
@@ -144,6 +149,25 @@ class RobotPathPlanner(Module):
         """Give the goal up."""
         self.planner.cancel(reason)
         self._step()
+
+    def brake(self) -> None:
+        """Have the robot stand still at once, on any thread; what is asked for follows on the module's own."""
+        task = self.planner.task
+        if task is not None:
+            self.planner.brake(task)
+            self._local.brake()
+
+    def _brake(self, goal_id: bytes) -> None:
+        """On a thread of the hub, which must not wait."""
+        task, goal = self.planner.task, self._goal  # in this order: a task that has been replaced does not matter
+        if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
+            self.planner.brake(task)
+            self._errands.send(self._local.brake)
+
+    def _halt_asked(self, _params: dict[str, Any]) -> Any:
+        """On a thread of the hub."""
+        self.brake()
+        return self._host.loop.call(self.halt)
 
     def halt(self) -> dict[str, Any]:
         """Give the goal up, whoever sent it."""

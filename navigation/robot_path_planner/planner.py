@@ -84,6 +84,7 @@ class PathPlanner:
         self._clutter: Clutter | None = None
         self._task: Task | None = None
         self._halting = False
+        self._braked: Task | None = None
         self._paused_until = -math.inf
         self._seen: _Seen | None = None
         self._watched = -math.inf
@@ -175,12 +176,25 @@ class PathPlanner:
         if self._task is not None:
             self._task = None
             self._halting = True
-            self.status = Status(State.IDLE, reason)
+        self.status = Status(State.IDLE, reason)
+
+    @property
+    def task(self) -> Task | None:
+        """The goal at hand, for `brake`."""
+        return self._task
+
+    def brake(self, task: Task) -> None:
+        """Send nobody anywhere for this goal any more, also not where the plan of this moment ends.
+
+        On any thread: planning on a large map takes a second, and a robot is to stop at once. `cancel` or `pause`
+        follows on the planner's own thread.
+        """
+        self._braked = task
 
     def pause(self, now: float, seconds: float = math.inf) -> None:
         """Stand still for some seconds, or until `resume`."""
         if self._task is not None:
-            self._halting = True
+            self._halting, self._braked = True, None
             self._paused_until = now + seconds if seconds > 0 else math.inf
             self._task.due = "it goes on"
             self.status = Status(State.PAUSED, "paused")
@@ -222,7 +236,7 @@ class PathPlanner:
             self._halting = False
             local.cancel()
         task = self._task
-        if task is None or now < self._paused_until:
+        if task is None or task is self._braked or now < self._paused_until:
             return self.status
         try:
             if pose is None:
@@ -314,6 +328,8 @@ class PathPlanner:
         self._send(task, local)
 
     def _send(self, task: Task, local: LocalNavigator) -> None:
+        if task is self._braked:
+            return
         self.status = Status(State.MOVING, task.note)
         local.send(task.waypoint.pose, task.waypoint.constraints)
 

@@ -64,6 +64,10 @@ class YarpNavigator:
         """Stand still."""
         self._want(None, State.IDLE)
 
+    def brake(self) -> None:
+        """As `cancel`: this is safe on any thread."""
+        self.cancel()
+
     def close(self) -> None:
         """Ask no more; what drives is left to whoever stops it before."""
         with self._lock:

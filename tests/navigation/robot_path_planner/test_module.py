@@ -226,6 +226,39 @@ def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Served) -> None:
     assert base64.b64decode(moving["goal_id"]) == sent.goal.id
 
 
+@pytest.mark.parametrize("by", ["action", "YARP"])
+def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Served, by: str) -> None:
+    rpc = place.registered("/robotPathPlanner/rpc")
+    place.robot.speed, before = 0.1, place.robot.speed
+    planned = threading.Event()
+    stopping = threading.Thread(target=lambda: None)
+    try:
+        sent = place.robot.send(4.0, 1.0)
+        until(lambda: place.robot.goal and place.robot.goal.status is Status.EXECUTING, "it drives", 20)
+        driven = place.robot.goal
+        place.module._host.loop.post(lambda: planned.wait(30))  # as a large map keeps it
+        if by == "YARP":
+
+            def stop() -> None:
+                with ServiceClient(INavigation2DMsgs, rpc, naming=place.names) as client:
+                    client.remote.stop_navigation_RPC()
+
+            stopping = threading.Thread(target=stop)
+            stopping.start()
+        else:
+            sent.cancel()
+        until(lambda: driven.status is Status.CANCELED, "who drives stops", 20)
+        asked = len(place.robot.asked)
+        planned.set()
+        assert sent.end()[0] is Status.CANCELED
+        assert len(place.robot.asked) == asked, "it is sent nowhere any more"
+    finally:
+        planned.set()
+        place.robot.speed = before
+        if stopping.is_alive():
+            stopping.join(30)
+
+
 def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> None:
     first = place.robot.send(4.0, 1.0)
     until(lambda: place.robot.asked, "it drives", 30)

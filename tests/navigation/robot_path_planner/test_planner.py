@@ -106,6 +106,34 @@ def test_cancelling_and_pausing_stop_it() -> None:
     assert drive.local.state is State.IDLE
 
 
+@pytest.mark.parametrize("then", ["cancel", "pause"])
+def test_who_is_to_stop_while_a_way_is_looked_for_is_sent_nowhere(then: str) -> None:
+    """The brake comes from another thread, where the step at hand is planning."""
+    drive = Drive(floor(), WEST)
+    drive.goto(EAST, seconds=2.0)
+    planner = drive.planner
+    assert planner.task
+    planner.brake(planner.task)
+    drive.local.cancel()
+    planner.recompute()
+    sent = len(drive.local.sent)
+    drive.run(0.2)
+    assert planner.status.state is State.MOVING, "nobody gave the goal up"
+    if then == "cancel":
+        planner.cancel()
+        drive.run(0.2)
+        assert planner.status.state is State.IDLE
+    else:
+        planner.pause(drive.now)
+        drive.run(0.2)
+        assert planner.status.state is State.PAUSED
+    assert len(drive.local.sent) == sent
+    drive.goto(EAST, seconds=0.5) if then == "cancel" else planner.resume()
+    drive.until(State.MOVING, 1.0)
+    drive.run(0.5)
+    assert len(drive.local.sent) > sent
+
+
 def test_who_drives_pauses_by_itself_until_it_is_told_to_go_on() -> None:
     drive = Drive(floor(), WEST)
     drive.goto(EAST, seconds=2.0)
