@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -32,8 +33,11 @@ class Goto:
     def __init__(self) -> None:
         self.state, self.refuses = "idle", False
         self.goals: list[Map2DLocation] = []
+        self.answers = threading.Event()
+        self.answers.set()
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
+        self.answers.wait(20)
         if self.refuses:
             raise CallFailed(ReturnCode.METHOD_FAILED, "no")
         self.goals.append(loc)
@@ -85,16 +89,20 @@ def network() -> Iterator[Network]:
 
 def test_goals_and_their_end_cross(network: Network) -> None:
     network.becomes(State.IDLE)
+    network.goto.answers.clear()
     network.navigator.send(Pose(1.0, 2.0, math.pi / 2), Constraints(heading=False, through=True))
     assert network.navigator.state is State.PREPARING
+    network.goto.answers.set()
     network.becomes(State.MOVING)
     network.goto.state = "waiting_obstacle"
     network.becomes(State.WAITING)
     network.goto.state = "goal_reached"
     network.becomes(State.REACHED)
     network.goto.state = "idle"  # as robotGoto does some time after it has arrived
+    network.goto.answers.clear()
     network.navigator.send(Pose(3.0, 4.0, math.pi / 2), Constraints())
     assert network.navigator.state is State.PREPARING
+    network.goto.answers.set()
     network.becomes(State.MOVING)
     first, second = network.goto.goals
     assert (first.map_id, first.x, first.y) == ("floor", 1.0, 2.0)
