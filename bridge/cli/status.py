@@ -131,7 +131,7 @@ def _figures(document: Document) -> str:
     parts: list[str] = []
     if document.get("network"):
         parts.append(f"{side_name(document.get('side'))} network {clean(document['network'])}")
-    elif document.get("state") == "waiting":
+    elif document.get("state") == "waiting" and document.get("side"):  # a module waits for something else
         parts.append(f"{side_name(document.get('side'))} is away")
     if document.get("text"):
         parts.append(clean(document["text"]))

@@ -26,7 +26,9 @@ def workers(network: HubNetwork, closing: list[FakeWorker | EngineWorker]) -> No
     ros1 = status("ros1", routes=[route("/scan"), route("/odd\x1b[2J", error="bad\x07bell")], refused=[REFUSED])
     ros2 = status("ros2", state="waiting", network=None, routes=[route("/scan", "out", state="idle", age=None)])
     router = status("router", side="router", listen="tcp/127.0.0.1:1", sessions=3)
-    closing.extend(FakeWorker(network, document["worker"], status=document) for document in (ros1, ros2, router))
+    gateway = status("gateway", side=None, state="waiting", network=None, text="the planner is not there")
+    documents = (ros1, ros2, router, gateway)
+    closing.extend(FakeWorker(network, document["worker"], status=document) for document in documents)
 
 
 @pytest.mark.usefixtures("workers")
@@ -36,6 +38,7 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
     words = done.out
     for text in ("robot1", "network net-1", "ROS 2 is away", "3 sessions", "refused ROS 1 -> hub /odd (odd_msgs/Odd)"):
         assert text in words
+    assert "gateway  waiting  the planner is not there" in words
     for text in ("cure: get it", "hub -> ROS 2", "queue 3, bad 1", "9.8", "12", "idle", "up 3 min", "cpu 3 %", "52 MB"):
         assert text in words
     assert "bad?bell" in words
@@ -45,8 +48,8 @@ def test_status_shows_each_worker_and_route(midspan: Midspan) -> None:
 @pytest.mark.usefixtures("workers")
 def test_status_as_json_is_the_documents(midspan: Midspan) -> None:
     documents = midspan("status", "--json").json()
-    assert [d["worker"] for d in documents] == ["ros1", "ros2", "router"]
-    assert documents[0]["refused"] == [REFUSED]
+    assert [d["worker"] for d in documents] == ["gateway", "ros1", "ros2", "router"]
+    assert documents[1]["refused"] == [REFUSED]
 
 
 def test_a_worker_that_fails_to_answer_is_shown(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
@@ -86,7 +89,7 @@ def test_top_without_a_terminal_prints_once(midspan: Midspan) -> None:
 @pytest.mark.usefixtures("workers")
 def test_top_as_json_is_a_line(midspan: Midspan) -> None:
     (documents,) = midspan("top", "--once", "--json").lines()
-    assert {d["worker"] for d in documents} == {"ros1", "ros2", "router"}
+    assert {d["worker"] for d in documents} == {"ros1", "ros2", "router", "gateway"}
 
 
 def test_routes_of_two_daemons_say_whose(midspan: Midspan, network: HubNetwork, closing: list[Any]) -> None:
