@@ -258,6 +258,7 @@ class Mix:
     def _kill_client(self, _planner: str, client: Client) -> str:
         client.goto(FAR)
         until(lambda: client.progress(), "progress is heard", SECONDS)
+        until(self.driving, "the planner tells of the goal", SECONDS)
         assert isinstance(client, RosClient)
         client.peer.stop(0)
         other = self.clients[YARP]

@@ -93,7 +93,7 @@ def test_the_stand_in_behaves_as_move_base_was_measured_to(direct: Direct) -> No
     before = len(direct.peer.wait(direct.targets, 0, 0.0))
     direct.goal("lost", 1.0, frame="/map")
     assert len(direct.peer.wait(direct.targets, before + 5, SECONDS)) >= before + 5
-    assert direct.listed()["lost"][0] == ACTIVE
+    direct.is_in("lost", ACTIVE)
     direct.cancel()
     direct.is_in("lost", PREEMPTED)
 
