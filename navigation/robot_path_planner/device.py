@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from navigation.goals import Place
 from navigation.pose import Pose
 from navigation.robot_path_planner.planner import PathPlanner
+from navigation.status import State
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -36,10 +37,10 @@ class Asked(Protocol):
     def stop_driving(self, reason: str) -> None:
         """Give the goal up."""
 
-    def local_map(self) -> MapGrid2D | None:
     def brake(self) -> None:
         """Have the robot stand still at once, on any thread."""
 
+    def local_map(self) -> MapGrid2D | None:
         """The map with what the laser sees on it."""
 
 
@@ -68,8 +69,8 @@ class Device:
         self._call(drive)
 
     def stopNavigation(self) -> None:
-        self._call(lambda: self._asked.stop_driving("stopped"))
         self._asked.brake()
+        self._call(lambda: self._asked.stop_driving("stopped"))
 
     def suspendNavigation(self, seconds: float) -> None:
         def pause() -> None:
@@ -77,11 +78,16 @@ class Device:
                 raise CallFailed(ReturnCode.METHOD_FAILED, "there is nothing to suspend")
             self._asked.planner.pause(self._asked.now(), seconds)
 
-        self._call(pause)
         self._asked.brake()
+        self._call(pause)
 
     def resumeNavigation(self) -> None:
-        self._call(self._asked.planner.resume)
+        def resume() -> None:
+            if self._asked.planner.status.state is not State.PAUSED:
+                raise CallFailed(ReturnCode.METHOD_FAILED, "nothing is suspended")
+            self._asked.planner.resume()
+
+        self._call(resume)
 
     def recomputeCurrentNavigationPath(self) -> None:
         def recompute() -> None:
@@ -113,11 +119,10 @@ class Device:
         ground, point = self._asked.planner.ground, self._asked.planner.waypoint
         return None if point is None or ground is None else _location(ground.name, point.pose)
 
-    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:
+    def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
+        """YARP's answers either kind with its way."""
         ground, points = self._asked.planner.ground, self._asked.planner.waypoints
-        if kind is not TrajectoryTypeEnum.global_trajectory or ground is None:
-            return None
-        return Map2DPath([_location(ground.name, each.pose) for each in points])
+        return None if ground is None else Map2DPath([_location(ground.name, each.pose) for each in points])
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.local_map:

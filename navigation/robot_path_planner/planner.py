@@ -172,7 +172,7 @@ class PathPlanner:
         self.status = Status(State.THINKING, self._task.due)
 
     def cancel(self, reason: str = "cancelled") -> None:
-        """Give the goal up; the robot stands still from the next step on."""
+        """Give the goal up; the robot stands still from the next step on. How the last one ended is forgotten."""
         if self._task is not None:
             self._task = None
             self._halting = True

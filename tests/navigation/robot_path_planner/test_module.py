@@ -235,7 +235,6 @@ def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Served, by: st
     try:
         sent = place.robot.send(4.0, 1.0)
         until(lambda: place.robot.goal and place.robot.goal.status is Status.EXECUTING, "it drives", 20)
-        driven = place.robot.goal
         place.module._host.loop.post(lambda: planned.wait(30))  # as a large map keeps it
         if by == "YARP":
 
@@ -247,7 +246,7 @@ def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Served, by: st
             stopping.start()
         else:
             sent.cancel()
-        until(lambda: driven.status is Status.CANCELED, "who drives stops", 20)
+        until(lambda: place.robot.goal and place.robot.goal.status is Status.CANCELED, "who drives stops", 20)
         asked = len(place.robot.asked)
         planned.set()
         assert sent.end()[0] is Status.CANCELED
@@ -311,7 +310,12 @@ def test_yarp_asks_clicks_and_sees(place: Served) -> None:
         until(lambda: robot.y > 3.99, "it is there", 30)
         reached = NavigationStatusEnum.navigation_status_goal_reached
         until(lambda: client.remote.get_navigation_status_RPC()[1] is reached, "YARP hears of it", 20)
-        assert not client.remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory)[1].waypoints
+        for kind in TrajectoryTypeEnum:
+            assert not client.remote.get_all_navigation_waypoints_RPC(kind)[1].waypoints
+        assert not client.remote.resume_navigation_RPC()
+        assert client.remote.stop_navigation_RPC()
+        idle = NavigationStatusEnum.navigation_status_idle
+        until(lambda: client.remote.get_navigation_status_RPC()[1] is idle, "a stop forgets how it ended", 20)
     with (
         Reader("/test/view", naming=names) as view,
         Reader("/test/status", naming=names) as status,
