@@ -30,8 +30,9 @@ from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapGrid2D
 
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-_WIDEST = 0.5
-"""Metres of amcl's standard deviation above which it does not know where the robot is."""
+_WIDEST = 1.0
+"""Metres of amcl's standard deviation above which it does not know where the robot is. A start has 0.5, as rviz tells
+it, until the robot drives."""
 
 
 class ByFrames(Source):

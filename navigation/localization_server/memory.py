@@ -8,6 +8,7 @@ import os
 import time
 from pathlib import Path
 
+from bridge.routing.processes import process_name
 from navigation.pose import Pose, wrapped
 
 _MOVED, _TURNED = 0.05, math.radians(3.0)
@@ -39,7 +40,7 @@ class Memory:
             return
         self._kept, self._written = (map_name, pose), time.monotonic()
         new = self._file.with_suffix(".new")
-        new.write_text(json.dumps({"map": map_name, "pose": pose[:3], "run": os.getppid()}), encoding="utf-8")
+        new.write_text(json.dumps({"map": map_name, "pose": pose[:3], "run": _run()}), encoding="utf-8")
         new.replace(self._file)
 
     def recall(self, map_name: str, *, of_this_run: bool) -> Pose | None:
@@ -54,7 +55,7 @@ class Memory:
             x, y, theta = map(float, kept["pose"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if kept.get("map") != map_name or (of_this_run and kept.get("run") != os.getppid()):
+        if kept.get("map") != map_name or (of_this_run and kept.get("run") != (_run() or None)):
             return None
         return Pose(x, y, theta) if math.isfinite(x + y + theta) else None
 
@@ -62,3 +63,8 @@ class Memory:
     def _far(map_name: str, pose: Pose, kept: tuple[str, Pose]) -> bool:
         turned = abs(wrapped(pose.theta - kept[1].theta))
         return map_name != kept[0] or pose.distance(kept[1]) > _MOVED or turned > _TURNED
+
+
+def _run() -> str:
+    """The daemon, by more than its number: that is 1 in every container. "" where the system does not tell."""
+    return process_name(os.getppid())

@@ -30,7 +30,7 @@ from navigation.localization_server.told import Told
 from navigation.maps.grid import from_grid
 from navigation.pose import Pose
 from yarp_compat.dev.localization2d_server import Localization2DServer
-from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.odometry import OdometryData
 
 _GRID = "nav_msgs/msg/OccupancyGrid"
@@ -130,6 +130,9 @@ class LocalizationServer(Module):
             self._start = None
             raise RuntimeError(str(err)) from None
         self._take_current()
+        if self.map_name != map_name:
+            self._start = None
+            raise RuntimeError(self._trouble or f"the map {map_name!r} is not in use")
 
     def rest(self, *, on: bool) -> None:
         """Work no more, or again."""
@@ -175,7 +178,7 @@ class LocalizationServer(Module):
             self._trouble = str(err)
             return
         self._trouble = "" if grid is not None else "the store has no current map"
-        if grid is not None and not _same(grid, self._grid):
+        if grid is not None:
             self._use(grid)
 
     def _grid_told(self, message: dict[str, Any]) -> None:
@@ -189,6 +192,8 @@ class LocalizationServer(Module):
         self._use(grid)
 
     def _use(self, grid: MapGrid2D) -> None:
+        if _same(grid, self._grid):  # told again: who is localised on it stays so
+            return
         self._grid = grid
         told, self._start = self._start, None
         self._source.use_map(grid, told[1] if told is not None and told[0] == grid.name else None)
@@ -241,12 +246,12 @@ class LocalizationServer(Module):
 
 
 def _same(one: MapGrid2D, other: MapGrid2D | None) -> bool:
-    """Whether two maps have the same walls in the same place, and the same name."""
+    """Whether two maps have the same walls in the same place, and the same name; what else is drawn does not matter."""
     return (
         other is not None
         and one.name == other.name
         and one.resolution == other.resolution
         and one.origin == other.origin
         and one.flags.shape == other.flags.shape
-        and bool((one.flags == other.flags).all())
+        and all(((one.flags == flag) == (other.flags == flag)).all() for flag in (MapFlag.WALL, MapFlag.UNKNOWN))
     )

@@ -51,7 +51,7 @@ class OtherServer(Given):
         self._naming, self._post = host.yarp.naming, host.loop.post
         self._lock = threading.Condition()
         self._wanted: tuple[Map2DLocation, Matrix] | None = None
-        self._closed = False
+        self._there = self._closed = False
         self._thread = threading.Thread(target=self._run, name="midspan-other-localiser", daemon=True)
         self._thread.start()
 
@@ -73,7 +73,9 @@ class OtherServer(Given):
         return self._particles
 
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
-        """Tell it."""
+        """Tell it, as soon as its answer to the last question is there."""
+        if not self._there:
+            raise RuntimeError(f"{self.place} is not there")
         place = Map2DLocation(self._map_name(), pose.x, pose.y, math.degrees(pose.theta))
         if covariance is None:
             metres, degrees = self._section.initial_spread
@@ -95,6 +97,7 @@ class OtherServer(Given):
         while not self._closed:
             try:
                 with ServiceClient(ILocalization2DMsgs, self.place, timeout=_PATIENCE, naming=self._naming) as client:
+                    self._there = True
                     self._follow(client.remote)
             except (OSError, WireError) as err:
                 self._tell_trouble(f"{self.place}: {str(err) or type(err).__name__}")
@@ -102,6 +105,7 @@ class OtherServer(Given):
                 _log.exception("%s", self.place)
                 self._tell_trouble(f"{self.place}: {type(err).__name__}: {err}")
             with self._lock:
+                self._there, self._wanted = False, None  # a start is of its moment, not of when the server is back
                 self._lock.wait_for(lambda: self._closed, _AGAIN)
 
     def _tell_trouble(self, why: str) -> None:

@@ -106,15 +106,19 @@ class Own(Source):
 
     def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:
         """Hold scans against another map, from where the robot is now unless somebody said."""
+        covariance = None
+        before = self._localizer.estimate() if self._localizer else None
+        if start is None and before is not None and before.pose is not None:
+            start, covariance = before.pose, before.covariance if self._map == grid.name else None
         self._map = grid.name
-        start = start or (self._localizer.pose if self._localizer else None) or self._first()
+        start = start or self._first()
         try:
             self._localizer = Localizer(grid, self._settings)
         except ValueError as err:
             self._localizer, self._trouble = None, str(err)
             return
         if start is not None:
-            self.initial(start, None)
+            self.initial(start, covariance)
 
     def _first(self) -> Pose | None:
         """Where to begin, of what is known: where the robot was in this run, what the section says, where it was."""
@@ -156,7 +160,7 @@ class Own(Source):
         localizer = self._localizer
         if localizer is None or self._resting:
             return
-        stamp = stamp_ns(message["header"])
+        stamp = stamp_ns(message["header"]) or self._now_ns()
         frames = self._frames
         try:
             odometry = frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=_LATE)

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bridge.config.model import Config
 from bridge.hub.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.localization_server.messages import POSE_COVARIANCE, spatial
-from navigation.maps.grid import from_grid, yaw_of
+from navigation.localization_server.module import _same
+from navigation.maps.grid import from_grid, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
 from tests.modules.place import Place
@@ -22,6 +24,7 @@ from tests.support.wait import until
 from yarp_compat.dev.ilocalization2d import LocalizationStatusEnum
 from yarp_compat.dev.localization2d_client import Localization2DClient
 from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.odometry import OdometryData
 from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
@@ -145,8 +148,31 @@ def test_it_goes_on_where_it_was(place: Place, robot: Robot) -> None:
     until(says(place, OK), "it is localised", 20)
     place.worker.stop()
     robot.silent = {"scan"}  # so that it is the memory that knows
-    place.worker.start(place.config(modules={"localization_server": {"enabled": True, **wrong}}, store={}))
+    out = robot.node.publisher("/map", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state")
+    out.publish(to_grid(robot.grid))
+    section = {"enabled": True, "map": "/map", "period": 0.05, **wrong}
+    place.worker.start(place.config(modules={"localization_server": section}, store={}))
     until(near(place, true), "it begins where it was, whatever the section says", 20)
+    robot.silent = set()
+    until(says(place, OK), "it is localised on the topic's map", 20)
+    server = place.worker._running["localization_server"]._module
+    before = server._source._localizer
+    again = to_grid(robot.grid)  # as mapping programs tell it every other second
+    again["info"]["resolution"] = float(np.float32(again["info"]["resolution"]))
+    server._host.loop.call(lambda: server._grid_told(again))
+    assert server._source._localizer is before
+    robot.grid.flags[:5, :5] = MapFlag.WALL
+    out.publish(to_grid(robot.grid))
+    until(lambda: server._source._localizer is not before, "a map with other walls is taken", 20)
+    until(near(place, true), "it goes on where it was", 20)
+
+
+def test_what_is_drawn_on_a_map_beside_its_walls_delocalises_nobody() -> None:
+    one = MapGrid2D.of(np.zeros((4, 4), np.uint8), name="lab")
+    for flag, same in ((MapFlag.KEEP_OUT, True), (MapFlag.WALL, False), (MapFlag.UNKNOWN, False)):
+        other = MapGrid2D.of(np.zeros((4, 4), np.uint8), name="lab")
+        other.flags[1, 2] = flag
+        assert _same(one, other) is same
 
 
 def test_its_yarp_ports(place: Place, robot: Robot) -> None:
@@ -251,13 +277,22 @@ def test_in_front_of_amcl(place: Place, robot: Robot) -> None:
     assert from_grid(taken[-1]["map"], "lab2").flags.shape == robot.grid.flags.shape
     where = taken[-1]["initial_pose"]["pose"]["pose"]["position"]
     assert (robot.localized @ robot.odometry).distance(Pose(where["x"], where["y"], 0.0)) < 0.01
+    for wide, status in ((3.0, "not_yet_localized"), (0.55, OK)):  # the second is what rviz's starts come to
+        spread = np.diag([wide**2, wide**2, 0.1])
+        amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(spread)}})
+        until(says(place, status, "" if status == OK else "3.0 m apart"), f"a spread of {wide} m is {status}", 20)
     robot.localized = None
     until(says(place, "error", "localisation is stale"), "a dead amcl is told", 20)
 
 
 def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
-    started(place, robot, source="topic", topic="/uwb", pose_age=1.0)
+    section = {"enabled": True, "period": 0.05, "topic": "/uwb", "pose_age": 1.0}
+
+    def by(source: str) -> Config:
+        return place.config(navigation={"localizer": source}, modules={"localization_server": section}, store={})
+
+    place.worker.start(by("topic"))
     until(says(place, "not_yet_localized", "no pose has come from /uwb"), "it waits for poses", 20)
     out = place.far.advertise("/uwb", "geometry_msgs/PoseStamped")
     given = Pose(4.0, 5.0, 1.0)
@@ -269,8 +304,7 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
     told = lambda: "odom" in str(place.far.wait(frames, 1, 0.1))  # noqa: E731
     until(lambda: (place.far.publish(out, message), told())[1], "the correction is on /tf", 20)
     until(says(place, "error", "/uwb has been silent for"), "silence is told", 20)
-    place.worker.stop()
-    started(place, robot, source="port")
+    assert place.worker.reload(by("port"))  # a line of the configuration; nothing else starts anew
     with NameServer(port=place.port, gc_seconds=0), Writer("/test/pose:o", naming=place.names) as writer:
         until(lambda: place.names.query("/localizationServer/pose:i"), "the port is there", 20)
         until(lambda: "waiting" not in str(said(place).get("ports")), "all are open", 20)
@@ -283,17 +317,31 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
 
 
 def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) -> None:
-    started(place, robot, initial_pose=[*robot.pose[:2], math.degrees(robot.pose.theta)], ports=["/other"])
+    started(place, robot, ports=["/other"])
     with NameServer(port=place.port, gc_seconds=0), Place(tmp_path / "second") as second:
         until(lambda: place.names.query("/other/odometry:o"), "the other's ports are there", 20)
         second.port = place.port
         follower = Robot(second.far.hub, second.far.registry)
         try:
             started(second, follower, source="server", server="/other")
-            until(says(second, OK), "it says what the other says", 20)
+            until(says(second, "not_yet_localized"), "it says what the other says", 20)
+            tell = tell_start(second, robot.pose)
+            until(lambda: (tell(), says(second, OK)())[1], "the start is told to the other", 20, every=0.5)
             until(near(second, robot.pose), "it is where the other says", 20)
             until(lambda: said(second)["particles"] == 500, "with the other's particles", 20)
             robot.silent = {"scan"}
             until(says(second, "error", "/other/rpc says error"), "the other's trouble is told", 20)
+            place.worker.stop()
+            until(says(second, "error", "/other/rpc"), "it is told that the other has gone", 20)
+            source = second.worker._running["localization_server"]._module._source
+
+            def refused() -> bool:
+                try:
+                    source.initial(robot.pose, None)
+                except RuntimeError as err:
+                    return "is not there" in str(err)
+                return False
+
+            until(refused, "nobody is told where to begin", 20, every=0.1)
         finally:
             follower.close()
