@@ -9,6 +9,7 @@ from bridge.config.sections.navigation import ACTION, GOAL_POSE, NavigationSecti
 from bridge.config.sections.routing import RoutingSection, Rule
 
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+PATH, GRID = "nav_msgs/msg/Path", "nav_msgs/msg/OccupancyGrid"
 
 
 class MadeRule(Rule):
@@ -22,10 +23,14 @@ class MadeRule(Rule):
 
 
 def with_navigation(routing: RoutingSection, navigation: NavigationSection) -> RoutingSection:
-    """The rules of the file, after those that follow from ``navigation``; a ``deny`` of either wins."""
+    """The rules of the file, after those that follow from ``navigation``; a ``deny`` of either wins.
+
+    What planners tell besides comes last: where the file limits its rate, so it is.
+    """
     if not navigation.planner:
         return routing
-    return routing.model_copy(update={"rules": (*made_rules(navigation), *routing.rules)})
+    rules = *made_rules(navigation), *routing.rules, *_told(navigation)
+    return routing.model_copy(update={"rules": rules})
 
 
 def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
@@ -47,6 +52,17 @@ def made_rules(section: NavigationSection) -> Iterator[MadeRule]:
         yield from _door(side, action, goal, taken.get((side, action), ""))
     yield _rule("navigation", topic="/navigation/**")
     yield _rule("navigation.velocity", kind="topic", topic=section.velocity, type=TWIST, priority="command")
+
+
+def _told(section: NavigationSection) -> Iterator[MadeRule]:
+    """The rules of the topics on which planners tell their ways, local maps and goals."""
+    for planner in section.others.values():
+        told = (planner.path, PATH), (planner.local_map, GRID), (planner.current_goal, POSE)
+        for topic, kind in told:
+            if topic and planner.side != "zenoh":
+                yield _rule(
+                    f"navigation (planner {planner.name})", kind="topic", topic=topic, type=kind, from_=planner.side
+                )
 
 
 def _door(side: str, action: str, goal: str, owner: str) -> Iterator[MadeRule]:

@@ -82,6 +82,17 @@ def test_doors_are_named_and_closed_in_the_file() -> None:
     assert not door(found, "ros2").allowed
 
 
+def test_what_a_planner_tells_crosses_as_the_file_has_it() -> None:
+    path = ("ros1", "/move_base/NavfnROS/plan", "nav_msgs/msg/Path")
+    assert rules("move_base").enter(*path).allowed
+    assert not rules("nav2").enter(*path).allowed
+    assert rules("nav2").enter("ros2", "/local_costmap/costmap", "nav_msgs/msg/OccupancyGrid").allowed
+    slow = {"rules": [{"topic": "/move_base/**", "rate": 1.0}]}
+    config = Config.model_validate({"navigation": {"planner": "move_base"}, "routing": slow})
+    found = RuleSet(config.rules).enter(*path)
+    assert (found.why, found.rate) == ("rule 1 allows it", 1.0)
+
+
 def test_the_files_own_rules_keep_their_numbers_and_may_deny() -> None:
     routing = {
         "rules": [{"topic": "/else"}, {"kind": "action", "topic": "/navigate_to_pose", "to": "ros1", "deny": True}]
