@@ -152,6 +152,9 @@ def test_goals_end_as_their_server_says(two: Two) -> None:
     late = Sent(two, client, "wait")
     until(lambda: late.goal.accepted, "it is accepted")
     goal = served.goals[-1]
+    hub = two.server.hub
+    until(lambda: hub.graph.zid_of(goal.client) == two.client.hub.zid, "it is known whose it is")
+    until(lambda: two.client.hub.zid in hub.neighbours(), "which is of this machine")
     two.on(two.server, goal.execute)
     until(lambda: (two.on(two.server, lambda: goal.feedback({})), late.feedback)[1], "feedback comes")
     assert not late.ends
