@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,14 +15,11 @@ from bridge.clock import SYSTEM
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.action_client import SentGoal
 from bridge.modules.goal import Status
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
 from navigation.constraints import Constraints
 from navigation.status import Fault, State
 from sim.laser import reference
-from tests.modules.place import Place
+from tests.navigation.served import STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
@@ -31,23 +27,19 @@ from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
 from yarp_compat.naming import connections
-from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader
 
-ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
 PLANNER = "/planner/robot_goto"
 TICK, TIMEOUT = 0.02, 0.3
 WALLS = np.array([[-3.0, -3, 3, -3], [3.0, -3, 3, 3], [3.0, 3, -3, 3], [-3.0, 3, -3, -3]])
 BEAMS = 180
 
 
-class Robot:
+class Robot(Program):
     """A robot that holonomically does what it is told, with a laser; and a client of RobotGoto."""
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
-        self.loop = Loop("robot")
-        self.loop.start()
-        self.node = Node(hub, registry, self.loop, SYSTEM)
+        super().__init__(hub, registry, PLANNER)
         self.sees = self.knows = True
         self.commands: list[tuple[float, float, float]] = []
         self._until, self._ticked, self._ticks = 0.0, 0.0, 0
@@ -56,9 +48,8 @@ class Robot:
         latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
         self._localized = self.node.publisher("/localization/status", "std_msgs/msg/String", latched)
         self.node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._command)
-        self.client = self.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
         self.stand(0.0, 0.0, 0.0)
-        self._timer = self.loop.every(TICK, self._tick)
+        self.beat(TICK, self._tick)
 
     def stand(self, x: float, y: float, yaw: float) -> None:
         self.x, self.y, self.yaw = x, y, yaw
@@ -95,11 +86,6 @@ class Robot:
                 "range_min": 0.1, "range_max": 20.0, "ranges": ranges.astype(np.float32),
             })  # fmt: skip
 
-    def close(self) -> None:
-        self._timer.close()
-        self.node.close()
-        self.loop.close()
-
 
 def _transform(stamp: Any, parent: str, child: str, x: float, y: float, yaw: float) -> dict[str, Any]:
     turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
@@ -107,42 +93,11 @@ def _transform(stamp: Any, parent: str, child: str, x: float, y: float, yaw: flo
     return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}
 
 
-class Sent:
-    """A goal that was sent."""
-
-    def __init__(self, robot: Robot, x: float, y: float, yaw: float = 0.0, text: str = "") -> None:
-        until(lambda: robot.client.ready, "RobotGoto is there", 30)
-        self.feedback: list[dict[str, Any]] = []
-        self._over = threading.Event()
-        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
-        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-        place = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
-        goal = {"pose": {"header": {"frame_id": "map"}, "pose": place}, "behavior_tree": text}
-        self._loop = robot.loop
-        self.goal: SentGoal = self._loop.call(lambda: robot.client.send(goal, self._ended, self.feedback.append))
-
-    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
-        self._end = goal.status, result, why
-        self._over.set()
-
-    def cancel(self) -> None:
-        self._loop.call(self.goal.cancel)
-
-    def end(self) -> tuple[Status, dict[str, Any]]:
-        assert self._over.wait(60), "it ends"
-        assert self._end is not None
-        status, result, why = self._end
-        assert result is not None, why
-        return status, result
-
-
-class Served(Place):
+class Goto(Served):
     """A running RobotGoto."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
-        self.yarp = NameServer(port=self.port, gc_seconds=0)
-        self.yarp.open()
+        super().__init__(folder, "robot_goto")
         self.robot = Robot(self.far.hub, self.far.registry)
         section = {
             "enabled": True,
@@ -160,26 +115,17 @@ class Served(Place):
         self.worker.start(self.config(modules={"robot_goto": section}))
 
     @property
-    def module(self) -> Any:
-        return self.worker._running["robot_goto"]._module
-
-    @property
     def state(self) -> str:
         return str(self.module.driver.status.state.value)
 
-    def registered(self, port: str) -> str:
-        until(lambda: self.names.query(port), f"{port} is registered", 30)
-        return port
-
     def close(self) -> None:
-        super().close()
         self.robot.close()
-        self.yarp.close()
+        super().close()
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    made = Served(tmp_path_factory.mktemp("goto"))
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Goto]:
+    made = Goto(tmp_path_factory.mktemp("goto"))
     try:
         yield made
     finally:
@@ -187,7 +133,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture
-def place(running: Served) -> Served:
+def place(running: Goto) -> Goto:
     """RobotGoto with nothing to do, its robot in the middle of the room."""
     robot, module = running.robot, running.module
     robot.sees = robot.knows = True
@@ -208,11 +154,11 @@ def place(running: Served) -> Served:
     return running
 
 
-def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Served) -> None:
+def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Goto) -> None:
     states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
     grids = place.far.subscribe(f"{PLANNER}/local_map", "nav_msgs/OccupancyGrid", latched=True)
     paths = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
-    sent = Sent(place.robot, 1.0, 0.5, 1.0, Constraints(tolerance_lin=0.08).to_text())
+    sent = place.robot.send(1.0, 0.5, 1.0, Constraints(tolerance_lin=0.08).to_text())
     assert sent.end() == (Status.SUCCEEDED, {"error_code": 0, "error_msg": ""})
     robot = place.robot
     assert math.hypot(robot.x - 1.0, robot.y - 0.5) < 0.2
@@ -228,10 +174,10 @@ def test_a_goal_of_the_hub_is_driven_to_and_then_it_is_silent(place: Served) -> 
     assert "moving" in [each["state"] for each in place.far.wait(states, 0, 0)]
 
 
-def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> None:
-    first = Sent(place.robot, 2.0, 0.0)
+def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Goto) -> None:
+    first = place.robot.send(2.0, 0.0)
     until(lambda: place.robot.x > 0.1, "it drives", 30)
-    second = Sent(place.robot, -2.0, 0.0)
+    second = place.robot.send(-2.0, 0.0)
     assert first.end() == (Status.CANCELED, {"error_code": Fault.OTHER, "error_msg": "another goal took its place"})
     until(lambda: place.robot.commands[-1][0] != 0.0 or place.robot.commands[-1][2] != 0.0, "it drives on", 30)
     second.cancel()
@@ -239,30 +185,30 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> 
     until(lambda: place.robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
 
 
-def test_a_goal_is_given_up_when_nobody_is_left_who_could_cancel_it(place: Served) -> None:
+def test_a_goal_is_given_up_when_nobody_is_left_who_could_cancel_it(place: Goto) -> None:
     robot = place.robot
-    Sent(robot, 2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
+    robot.send(2.0, 0.0, 0.0, Constraints(max_lin_speed=0.1).to_text())
     until(lambda: robot.x > 0.1, "it drives", 30)
     robot.loop.call(robot.client.close)
     try:
         until(lambda: place.state == "idle" and robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
         assert robot.x < 1.9
     finally:
-        robot.client = robot.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
+        robot.connect()
 
 
-def test_a_goal_that_cannot_be_says_why(place: Served) -> None:
-    status, result = Sent(place.robot, math.nan, 0.0).end()
+def test_a_goal_that_cannot_be_says_why(place: Goto) -> None:
+    status, result = place.robot.send(math.nan, 0.0).end()
     assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
-    status, result = Sent(place.robot, 1.0, 0.0, 0.0, "midspan: speed=2").end()
+    status, result = place.robot.send(1.0, 0.0, 0.0, "midspan: speed=2").end()
     assert (status, result["error_code"]) == (Status.ABORTED, Fault.BAD_GOAL)
     assert "'speed' is no constraint" in result["error_msg"]
 
 
 @pytest.mark.parametrize("trouble", ["laser", "frames", "localisation"])
-def test_in_trouble_it_stands_says_why_and_goes_on(place: Served, trouble: str) -> None:
+def test_in_trouble_it_stands_says_why_and_goes_on(place: Goto, trouble: str) -> None:
     robot, driver = place.robot, place.module.driver
-    sent = Sent(robot, 1.5, 0.0, 0.0, Constraints(max_lin_speed=0.2).to_text())  # not there before it is told
+    sent = robot.send(1.5, 0.0, 0.0, Constraints(max_lin_speed=0.2).to_text())  # not there before it is told
     until(lambda: robot.x > 0.05, "it drives", 30)
     if trouble == "laser":
         robot.sees = False
@@ -285,7 +231,7 @@ def test_in_trouble_it_stands_says_why_and_goes_on(place: Served, trouble: str) 
     assert sent.end()[0] is Status.CANCELED
 
 
-def test_yarp_drives_it_and_hears_its_commands(place: Served) -> None:
+def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
     names, robot = place.names, place.robot
     rpc = place.registered("/robotGoto/rpc")
     ok = NavigationStatusEnum
@@ -319,7 +265,7 @@ def test_yarp_drives_it_and_hears_its_commands(place: Served) -> None:
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_idle
 
 
-def test_its_commands_in_words_and_as_a_service(place: Served) -> None:
+def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
     rpc = place.registered("/robotGoto/rpc")
     driver = place.module.driver
     with Client(rpc, naming=place.names) as words:
@@ -342,8 +288,8 @@ def test_its_commands_in_words_and_as_a_service(place: Served) -> None:
         assert client.remote.GetNavigationStatus()[1].startswith("navigation_status_")
 
 
-def test_halt_ends_every_goal(place: Served) -> None:
-    sent = Sent(place.robot, 2.0, 0.0)
+def test_halt_ends_every_goal(place: Goto) -> None:
+    sent = place.robot.send(2.0, 0.0)
     until(lambda: place.robot.x > 0.05, "it drives", 30)
     assert place.far.hub.ask("halt", {}, worker="robot_goto")[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"

@@ -18,39 +18,33 @@ from bridge.clock import SYSTEM
 from bridge.hub.qos import Durability, Qos
 from bridge.hub.session import Hub
 from bridge.messages.registry import Registry
-from bridge.modules.action_client import SentGoal
 from bridge.modules.action_server import Goal
 from bridge.modules.goal import Status
-from bridge.modules.loop import Loop
-from bridge.modules.node import Node
 from bridge.stores.kinds import MAP
 from navigation.constraints import Constraints
 from navigation.maps.grid import to_grid, yaw_of
 from navigation.status import Fault
 from tests.modules.place import Place
 from tests.navigation.robot_path_planner.floors import ROOMS, floor
+from tests.navigation.served import ACTION, STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.naming import connections
-from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.sig.image import ImageRgb
 
-ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
 PLANNER = "/planner/robot_path_planner"
 TICK = 0.02
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 
 
-class Robot:
+class Robot(Program):
     """A local navigator on the hub, whose robot is where it is sent; and a client of the planner."""
 
     def __init__(self, hub: Hub, registry: Registry) -> None:
-        self.loop = Loop("robot")
-        self.loop.start()
-        self.node = Node(hub, registry, self.loop, SYSTEM)
+        super().__init__(hub, registry, PLANNER)
         self.x, self.y, self.yaw = 1.0, 1.0, 0.0
         self.goal: Goal | None = None
         self.asked: list[tuple[float, float, Constraints]] = []
@@ -58,8 +52,7 @@ class Robot:
         self.speed = 3.0
         self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
         self.node.action_server("/planner/robot_goto/navigate_to_pose", ACTION, self._take, self._cancel)
-        self.client = self.node.action_client(f"{PLANNER}/navigate_to_pose", ACTION)
-        self._timer = self.loop.every(TICK, self._tick)
+        self.beat(TICK, self._tick)
 
     def _take(self, goal: Goal) -> bool:
         if self.goal is not None and self.goal.active:
@@ -92,50 +85,12 @@ class Robot:
         header = {"stamp": SYSTEM.stamp(), "frame_id": "map"}
         self._tf.publish({"transforms": [{"header": header, "child_frame_id": "base_link", "transform": transform}]})
 
-    def send(self, x: float, y: float, yaw: float = 0.0, frame: str = "map") -> Sent:
-        until(lambda: self.client.ready, "the planner is there", 30)
-        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
-        return Sent(self, {"pose": {"header": {"frame_id": frame}, "pose": pose}})
 
-    def close(self) -> None:
-        self._timer.close()
-        self.node.close()
-        self.loop.close()
-
-
-class Sent:
-    """A goal that was sent to the planner."""
-
-    def __init__(self, robot: Robot, goal: dict[str, Any]) -> None:
-        self.feedback: list[dict[str, Any]] = []
-        self._over = threading.Event()
-        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
-        self._loop = robot.loop
-        self.goal: SentGoal = robot.loop.call(lambda: robot.client.send(goal, self._ended, self.feedback.append))
-
-    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
-        self._end = goal.status, result, why
-        self._over.set()
-
-    def cancel(self) -> None:
-        self._loop.call(self.goal.cancel)
-
-    def end(self) -> tuple[Status, dict[str, Any]]:
-        assert self._over.wait(60), "it ends"
-        assert self._end is not None
-        status, result, why = self._end
-        assert result is not None, why
-        return status, result
-
-
-class Served(Place):
+class Planning(Served):
     """A running planner."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(folder)
-        self.yarp = NameServer(port=self.port, gc_seconds=0)
-        self.yarp.open()
+        super().__init__(folder, "robot_path_planner")
         self.robot = Robot(self.far.hub, self.far.registry)
         section = {
             "enabled": True,
@@ -151,26 +106,17 @@ class Served(Place):
         until(lambda: self.told().get("map") == "floor", "the map is taken", 30)
         until(lambda: self.told()["navigator"]["state"] == "idle", "the local navigator is there", 30)
 
-    @property
-    def module(self) -> Any:
-        return self.worker._running["robot_path_planner"]._module
-
     def told(self) -> dict[str, Any]:
         return self.status("robot_path_planner") or {}
 
-    def registered(self, port: str) -> str:
-        until(lambda: self.names.query(port), f"{port} is registered", 30)
-        return port
-
     def close(self) -> None:
-        super().close()
         self.robot.close()
-        self.yarp.close()
+        super().close()
 
 
 @pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    made = Served(tmp_path_factory.mktemp("planner"))
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Planning]:
+    made = Planning(tmp_path_factory.mktemp("planner"))
     try:
         yield made
     finally:
@@ -178,7 +124,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture
-def place(running: Served) -> Served:
+def place(running: Planning) -> Planning:
     """The planner with nothing to do, its robot in the west."""
     robot = running.robot
     robot.fails = ""
@@ -198,7 +144,7 @@ def pose_of(frames: Any) -> Any:
         return type("Nowhere", (), {"x": math.inf})
 
 
-def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Served) -> None:
+def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Planning) -> None:
     path = place.far.subscribe(f"{PLANNER}/path", "nav_msgs/Path", latched=True)
     states = place.far.subscribe(f"{PLANNER}/status", STATUS, latched=True)
     markers = place.far.subscribe(f"{PLANNER}/markers", "visualization_msgs/MarkerArray", latched=True)
@@ -227,7 +173,7 @@ def test_a_goal_of_the_hub_is_driven_to_by_waypoints(place: Served) -> None:
 
 
 @pytest.mark.parametrize("by", ["action", "YARP"])
-def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Served, by: str) -> None:
+def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Planning, by: str) -> None:
     rpc = place.registered("/robotPathPlanner/rpc")
     place.robot.speed, before = 0.1, place.robot.speed
     planned = threading.Event()
@@ -258,7 +204,7 @@ def test_a_stop_reaches_who_drives_while_the_planner_plans(place: Served, by: st
             stopping.join(30)
 
 
-def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> None:
+def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Planning) -> None:
     first = place.robot.send(4.0, 1.0)
     until(lambda: place.robot.asked, "it drives", 30)
     second = place.robot.send(1.0, 4.0)
@@ -275,28 +221,30 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Served) -> 
 
 
 @pytest.mark.parametrize(
-    ("goal", "fault", "said"),
+    ("goal", "frame", "fault", "said"),
     [
-        ((2.5, 2.5, 0.0, "map"), Fault.GOAL_OCCUPIED, "in a wall"),
-        ((1.0, 1.0, 0.0, "moon"), Fault.UNKNOWN_FRAME, "moon"),
-        ((99.0, 1.0, 0.0, "map"), Fault.OFF_THE_MAP, "off the map"),
-        ((math.nan, 1.0, 0.0, "map"), Fault.BAD_GOAL, "numbers"),
+        ((2.5, 2.5), "map", Fault.GOAL_OCCUPIED, "in a wall"),
+        ((1.0, 1.0), "moon", Fault.UNKNOWN_FRAME, "moon"),
+        ((99.0, 1.0), "map", Fault.OFF_THE_MAP, "off the map"),
+        ((math.nan, 1.0), "map", Fault.BAD_GOAL, "numbers"),
     ],
 )
-def test_a_goal_that_cannot_be_says_why(place: Served, goal: tuple[Any, ...], fault: Fault, said: str) -> None:
-    status, result = place.robot.send(*goal).end()
+def test_a_goal_that_cannot_be_says_why(
+    place: Planning, goal: tuple[float, float], frame: str, fault: Fault, said: str
+) -> None:
+    status, result = place.robot.send(*goal, frame=frame).end()
     assert (status, result["error_code"]) == (Status.ABORTED, fault)
     assert said in result["error_msg"]
 
 
-def test_a_goal_in_the_robots_frame_is_turned_into_the_maps(place: Served) -> None:
+def test_a_goal_in_the_robots_frame_is_turned_into_the_maps(place: Planning) -> None:
     place.robot.yaw = math.pi / 2
     until(lambda: pose_of(place.module._frames).theta > 1.5, "the robot has turned", 20)
-    assert place.robot.send(1.0, 0.0, 0.0, "base_link").end()[0] is Status.SUCCEEDED
+    assert place.robot.send(1.0, 0.0, frame="base_link").end()[0] is Status.SUCCEEDED
     assert (place.robot.x, place.robot.y) == pytest.approx((1.0, 2.0), abs=0.01)
 
 
-def test_yarp_asks_clicks_and_sees(place: Served) -> None:
+def test_yarp_asks_clicks_and_sees(place: Planning) -> None:
     names, robot = place.names, place.robot
     port = place.registered("/robotPathPlanner/rpc")
     with Client(port, naming=names) as words:
@@ -350,7 +298,7 @@ def test_yarp_asks_clicks_and_sees(place: Served) -> None:
     assert (image == (0, 120, 0)).all(axis=2).any(), "the robot is on it"
 
 
-def test_a_navigator_that_fails_is_said(place: Served) -> None:
+def test_a_navigator_that_fails_is_said(place: Planning) -> None:
     place.robot.fails = "the laser is silent"
     sent = place.robot.send(4.0, 1.0)
     until(lambda: place.module.planner.recoveries, "it tries again", 30)

@@ -1,0 +1,110 @@
+"""A module that drives, with YARP and a program on its hub that sends goals to it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bridge.clock import SYSTEM
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.modules.action_client import SentGoal
+from bridge.modules.goal import Status
+from bridge.modules.loop import Loop
+from bridge.modules.node import Node
+from tests.modules.place import Place
+from tests.support.wait import until
+from yarp_compat.naming.server import NameServer
+
+ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
+
+
+class Program:
+    """A node with a thread of its own, and a client of a planner.
+
+    Args:
+        hub: what it is on.
+        registry: of types.
+        planner: what the planner's names begin with.
+    """
+
+    def __init__(self, hub: Hub, registry: Registry, planner: str) -> None:
+        self.loop = Loop("robot")
+        self.loop.start()
+        self.node = Node(hub, registry, self.loop, SYSTEM)
+        self._action = f"{planner}/navigate_to_pose"
+        self.connect()
+
+    def connect(self) -> None:
+        """Be a client of the planner, also again."""
+        self.client = self.node.action_client(self._action, ACTION)
+
+    def beat(self, seconds: float, tick: Callable[[], Any]) -> None:
+        """Do something again and again."""
+        self._timer = self.loop.every(seconds, tick)
+
+    def send(self, x: float, y: float, yaw: float = 0.0, text: str = "", frame: str = "map") -> Sent:
+        until(lambda: self.client.ready, "the planner is there", 30)
+        turn = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+        pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
+        return Sent(self, {"pose": {"header": {"frame_id": frame}, "pose": pose}, "behavior_tree": text})
+
+    def close(self) -> None:
+        self._timer.close()
+        self.node.close()
+        self.loop.close()
+
+
+class Sent:
+    """A goal that was sent."""
+
+    def __init__(self, program: Program, goal: dict[str, Any]) -> None:
+        self.feedback: list[dict[str, Any]] = []
+        self._over = threading.Event()
+        self._end: tuple[Status, dict[str, Any] | None, str] | None = None
+        self._loop, client = program.loop, program.client
+        self.goal: SentGoal = self._loop.call(lambda: client.send(goal, self._ended, self.feedback.append))
+
+    def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
+        self._end = goal.status, result, why
+        self._over.set()
+
+    def cancel(self) -> None:
+        self._loop.call(self.goal.cancel)
+
+    def end(self) -> tuple[Status, dict[str, Any]]:
+        assert self._over.wait(60), "it ends"
+        assert self._end is not None
+        status, result, why = self._end
+        assert result is not None, why
+        return status, result
+
+
+class Served(Place):
+    """A place with a name server, and a module that runs there.
+
+    Args:
+        folder: for its state.
+        name: the module's.
+    """
+
+    def __init__(self, folder: Path, name: str) -> None:
+        super().__init__(folder)
+        self._name = name
+        self.yarp = NameServer(port=self.port, gc_seconds=0)
+        self.yarp.open()
+
+    @property
+    def module(self) -> Any:
+        return self.worker._running[self._name]._module
+
+    def registered(self, port: str) -> str:
+        until(lambda: self.names.query(port), f"{port} is registered", 30)
+        return port
+
+    def close(self) -> None:
+        super().close()
+        self.yarp.close()
