@@ -216,7 +216,7 @@ class NameClient:
         return bool(command) and command[0] in ("bot", "subscribe", "unsubscribe", "topic", "untopic", "type")
 
     def _ask(self, data: bytes) -> LineSocket:
-        address = self.address
+        address, peer = self.address, None
         try:
             if self._given_up:
                 raise TimeoutError
@@ -225,6 +225,8 @@ class NameClient:
             peer.send(data)
         except OSError as err:
             self._found = None  # the file may say another place by now
+            if peer is not None:
+                peer.close()
             raise self._absent(err) from None
         peer.on_error(self._absent)
         return peer

@@ -32,11 +32,19 @@ class LineSocket:
         self._taken = 0
         self._explain: Callable[[OSError], Exception] | None = None
         self._socket = socket.create_connection((host, port), timeout)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError:  # it was closed at once
+            self.close()
+            raise
 
     def on_error(self, explain: Callable[[OSError], Exception]) -> None:
         """Have later errors raised as something else."""
         self._explain = explain
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
 
     def __enter__(self) -> Self:
         return self
@@ -44,7 +52,7 @@ class LineSocket:
     def __exit__(
         self, kind: type[BaseException] | None, err: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._socket.close()
+        self.close()
         if isinstance(err, OSError) and self._explain:
             raise self._explain(err) from None
 

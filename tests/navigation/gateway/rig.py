@@ -79,8 +79,8 @@ class Planner(Program):
         until(lambda: len(self.goals) >= count, f"goal {count} is at the planner", SECONDS)
         return self.goals[count - 1]
 
-    def tell(self, goal: Goal, state: State, why: str) -> None:
-        told = status_message(SYSTEM.stamp(), state, why, goal_id=goal.id, goal=goal.goal["pose"])
+    def tell(self, goal: Goal, state: State, why: str, code: int = 0) -> None:
+        told = status_message(SYSTEM.stamp(), state, why, code, goal_id=goal.id, goal=goal.goal["pose"])
         self.on(lambda: self._told.publish(told))
 
     def reach(self, goal: Goal) -> None:
@@ -169,6 +169,8 @@ class Rig(Place):
     def fresh(self) -> None:
         """No goals anywhere."""
         until(lambda: self.ask("stop") and not self.gateway.driving, "nothing drives", SECONDS)
+        now = self.gateway.state()[0].value  # else the last test's status might be taken for this one's
+        until(lambda: self.statuses and self.statuses[-1]["state"] == now, "the client knows", SECONDS)
         for planner in self.planners.values():
             planner.goals.clear()
 

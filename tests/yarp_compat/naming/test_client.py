@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.errors import ConfigError, NameRefusedError, NamingError, NoNameServerError, PortError
+from yarp_compat.naming.lines import LineSocket
 from yarp_compat.wire.carriers import CARRIERS
 from yarp_compat.wire.contact import Contact
 
@@ -116,6 +118,19 @@ def test_closed_early(answer: bytes) -> None:
     """An answer that stops is no answer."""
     with Scripted([(1, answer), (0, b"")]) as server, pytest.raises(NoNameServerError, match="closed before"):
         client(server.port).list()
+
+
+def test_a_connection_that_breaks_at_once_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken: list[socket.socket] = []
+
+    def send(peer: LineSocket, _data: bytes) -> None:
+        broken.append(peer._socket)
+        raise BrokenPipeError
+
+    monkeypatch.setattr(LineSocket, "send", send)
+    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(NoNameServerError):
+        client(server.getsockname()[1]).query("/a")
+    assert broken[0].fileno() == -1
 
 
 def test_silence_has_an_end() -> None:
