@@ -111,13 +111,13 @@ class RobotPathPlanner(Module):
             f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel, brake=self._brake
         )
         Clients(host, self._server, lambda: self._give_up(GONE))
+        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
         if prefix:
             device = Device(self, host.loop.call)
             radius = lambda: self.planner.settings.robot_radius  # noqa: E731
             words = PlannerServer(device, radius, lambda value: host.loop.call(lambda: self.set_radius(value)))
-        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
             host.yarp.serve(f"{prefix}/rpc", words)
             host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
 
