@@ -91,6 +91,14 @@ class Frames:
         """
         return self._fresh(self.map_frame, self.odom_frame, self._localization_age, "localisation")
 
+    def hangs(self, frame: str) -> bool:
+        """Whether a sensor hangs upside down on the base; False, too, where it is not known how it is mounted."""
+        try:
+            x, y, _, _ = self._look(self.base_frame, frame, LATEST, 0.0).rotation
+        except FramesError:
+            return False
+        return x * x + y * y > 0.5
+
     def transform(self, target: str, source: str, stamp: int = LATEST, *, extrapolate: float = 0.0) -> Pose:
         """The pose of the source frame in the target frame, flat on the floor.
 

@@ -58,19 +58,21 @@ class ScanError(ValueError):
     """A scan that cannot be used; the text says why."""
 
 
-def of_ros(message: Mapping[str, Any], time_ns: int) -> Turn:
+def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> Turn:
     """The turn of a ``sensor_msgs/msg/LaserScan``.
 
     Args:
         message: as `bridge.messages.values` has it.
         time_ns: when it was made, on the clock of whoever takes it.
+        hangs: whether the laser hangs upside down: on the floor its beams go round the other way.
 
     Raises:
         ScanError: its angles or limits are none.
     """
+    way = -1.0 if hangs else 1.0
     return _turn(
-        time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
-        np.array(message["ranges"], np.float64),
+        time_ns, way * message["angle_min"], way * message["angle_increment"], message["range_min"],
+        message["range_max"], np.array(message["ranges"], np.float64),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.qos import Qos
 from bridge.modules.host import Host
-from navigation.frames import Frames, FramesError
+from navigation.frames import LATE, Frames, FramesError
 from navigation.localization_server.estimate import Estimate, Floats, Status, covariance_of, unknown
 from navigation.localization_server.messages import (
     ODOMETRY,
@@ -23,9 +23,6 @@ from navigation.localization_server.messages import (
 from navigation.localization_server.source import Source
 from navigation.pose import Pose
 from yarp_compat.pythonic import Received
-
-_LATE = 0.2
-"""Seconds by which a pose may be newer than the odometry."""
 
 
 class Given(Source):
@@ -66,7 +63,7 @@ class Given(Source):
         """The odometry's frame on the map by a pose; None where odometry does not know of its time."""
         frames = self._frames
         try:
-            then = frames.transform(frames.odom_frame, frames.base_frame, pose.stamp_ns, extrapolate=_LATE)
+            then = frames.transform(frames.odom_frame, frames.base_frame, pose.stamp_ns, extrapolate=LATE)
         except FramesError:
             return None
         return pose @ then.inverse

@@ -17,7 +17,6 @@ POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSES, PARTICLES = "geometry_msgs/msg/PoseArray", "nav2_msgs/msg/ParticleCloud"
-SCAN = "sensor_msgs/msg/LaserScan"
 
 Message = dict[str, Any]
 

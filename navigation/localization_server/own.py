@@ -3,40 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.qos import Qos
 from bridge.modules.host import Host
-from bridge.tf.errors import TransformError
-from navigation.frames import Frames, FramesError, flat
+from navigation.frames import LATE, Frames, FramesError
 from navigation.localization_server.estimate import Estimate, Floats, Status, unknown
 from navigation.localization_server.localizer import Localizer
 from navigation.localization_server.memory import Memory
-from navigation.localization_server.messages import SCAN, stamp_ns
+from navigation.localization_server.messages import stamp_ns
 from navigation.localization_server.scan import scan_points
 from navigation.localization_server.settings import Settings
 from navigation.localization_server.source import Source
 from navigation.pose import Pose
+from navigation.scan import SCAN, ScanError, of_ros
 from yarp_compat.dev.mapgrid import MapGrid2D
-
-_LATE = 0.2
-"""Seconds by which a scan may be newer than the odometry."""
-
-
-@dataclass(frozen=True)
-class _Turn:
-    """A scan as `scan_points` takes it."""
-
-    first: float
-    step: float
-    nearest: float
-    farthest: float
-    ranges: NDArray[np.floating]
 
 
 class Own(Source):
@@ -163,28 +147,20 @@ class Own(Source):
         stamp = stamp_ns(message["header"]) or self._now_ns()
         frames = self._frames
         try:
-            odometry = frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=_LATE)
-            points = self._points(message)
-        except FramesError as err:
+            odometry = frames.transform(frames.odom_frame, frames.base_frame, stamp, extrapolate=LATE)
+            points = self._points(message, stamp)
+        except (FramesError, ScanError) as err:
             self._left_out += 1
             self._laser = str(err)
             return
         self._scans, self._laser = self._scans + 1, ""
         localizer.scan(stamp, points, odometry)
 
-    def _points(self, message: dict[str, Any]) -> Floats:
-        """A scan's points in the base's frame; the laser may hang upside down."""
-        frame, step = message["header"]["frame_id"] or self._frames.base_frame, float(message["angle_increment"])
-        first = float(message["angle_min"])
-        try:
-            mounted = self._frames.buffer.lookup_transform(self._frames.base_frame, frame)
-        except TransformError as err:
-            raise FramesError(f"it is not known where the laser is on the base: {str(err).strip()}") from None
-        x, y, _, _ = mounted.rotation
-        if x * x + y * y > 0.5:
-            first, step = -first, -step
-        turn = _Turn(first, step, float(message["range_min"]), float(message["range_max"]), message["ranges"])
-        return scan_points(turn, flat(mounted))
+    def _points(self, message: dict[str, Any], stamp: int) -> Floats:
+        """A scan's points in the base's frame."""
+        frame = message["header"]["frame_id"] or self._frames.base_frame
+        turn = of_ros(message, stamp, hangs=self._frames.hangs(frame))
+        return scan_points(turn, self._frames.transform(self._frames.base_frame, frame))
 
 
 def settings_of(section: LocalizationServerSection) -> Settings:

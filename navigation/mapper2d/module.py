@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -84,7 +85,7 @@ class Mapper2D(Module):
             host.node.subscription(section.scan, SCAN, self._hear, Qos(depth=5))
         self._map = host.node.publisher(section.topic, GRID, LATCHED, priority="state") if section.topic else None
         if section.initial_pose:
-            host.node.subscription(section.initial_pose, COVARIANT, lambda m: self._poses.set(Pose(*of_message(m))))
+            host.node.subscription(section.initial_pose, COVARIANT, self._placed)
         self._offer(host, section.prefix)
         host.on_jump(self._waiting.clear)
         host.every(_BEAT, self._work)
@@ -104,12 +105,21 @@ class Mapper2D(Module):
             host.node.server(f"/{self.name}/{word}", TRIGGER, self._trigger(word, done))
         host.node.server(f"/{self.name}/save", TRIGGER, self._save)
 
+    def _placed(self, message: dict[str, Any]) -> None:
+        """Somebody says where the robot is."""
+        frame, place = message["header"]["frame_id"].lstrip("/"), Pose(*of_message(message))
+        if frame not in ("", self._section.map_frame.lstrip("/")) or not all(map(math.isfinite, place[:3])):
+            self._host.log.warning("%s: refused: %s in the frame %r", self._section.initial_pose, place[:3], frame)
+        else:
+            self._poses.set(place)
+
     def _hear(self, message: dict[str, Any]) -> None:
         self._heard = now = self._host.clock.now_ns()
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         try:
-            self._take(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
+            turn = of_ros(message, stamp or now, hangs=self._poses.hangs(header["frame_id"]))
+            self._take(_Scan(now, header["frame_id"], turn))
         except ScanError as err:
             self._drop(str(err))
 

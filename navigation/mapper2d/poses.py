@@ -112,6 +112,10 @@ class Poses:
             mount = self._frames.transform(self._frames.base_frame, frame) if frame else Pose(0.0, 0.0, 0.0)
         return self.robot(stamp) @ mount
 
+    def hangs(self, frame: str) -> bool:
+        """Whether the laser hangs upside down; one whose place the section says stands."""
+        return self._mount is None and self._frames.hangs(frame)
+
     def robot(self, stamp: int = LATEST) -> Pose:
         """Where the robot was on the map; raises `FramesError`."""
         if self._wanted is not None:

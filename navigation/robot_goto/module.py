@@ -109,7 +109,8 @@ class RobotGoto(Module):
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         age = max(self._host.clock.now_ns() - stamp, 0) if stamp else 0
         try:
-            turn = of_ros(message, round(self.now() * 1e9) - age)
+            hangs = self._frames.hangs(header["frame_id"])
+            turn = of_ros(message, round(self.now() * 1e9) - age, hangs=hangs)
             laser = laser_pose(self._frames, header["frame_id"])
             self.driver.scan(turn, moved_at(self._frames, stamp), laser)
         except (FramesError, ScanError) as err:

@@ -32,7 +32,7 @@ class Laser:
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         try:
-            turn = of_ros(message, stamp)
+            turn = of_ros(message, stamp, hangs=self._frames.hangs(header["frame_id"]))
             pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=LATE)
         except (FramesError, ScanError) as err:
             self.trouble = str(err)

@@ -9,9 +9,12 @@ from typing import Any
 
 import pytest
 
-from bridge.tf.stamped import TF, Stamped, write
+from bridge.tf.stamped import TF, TF_STATIC, Stamped, write
 from navigation.frames import Frames, FramesError
 from navigation.pose import Pose
+from navigation.robot_goto.module import RobotGoto
+from navigation.robot_path_planner.laser import Laser
+from navigation.scan import Turn
 
 S = 1_000_000_000
 START = 1_790_000_000 * S
@@ -22,8 +25,8 @@ class Said:
 
     def __init__(self, **options: Any) -> None:
         self.now = START
-        self._heard: dict[str, Callable[[bytes], None]] = {}
-        node = SimpleNamespace(subscription_cdr=lambda topic, _type, heard, _qos: self._heard.update({topic: heard}))
+        self.heard: dict[str, Callable[[bytes], None]] = {}
+        node = SimpleNamespace(subscription_cdr=lambda topic, _type, heard, _qos: self.heard.update({topic: heard}))
         clock = SimpleNamespace(now_ns=lambda: self.now)
         host: Any = SimpleNamespace(node=node, clock=clock, on_jump=lambda _: None)
         self.frames = Frames(host, **options)
@@ -31,7 +34,7 @@ class Said:
     def say(self, parent: str, child: str, pose: Pose, ago: float = 0.0, topic: str = TF) -> None:
         turned = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
         one = Stamped(parent, child, self.now - round(ago * S), (pose.x, pose.y, 0.0), turned)
-        self._heard[topic](write([one]))
+        self.heard[topic](write([one]))
 
 
 def test_the_pose_is_the_newest_odometry_in_the_newest_correction() -> None:
@@ -84,3 +87,32 @@ def test_frames_in_frames() -> None:
     there = Pose(1.0, 2.0, 3.0)
     assert (there @ there.inverse)[:3] == pytest.approx((0.0, 0.0, 0.0))
     assert (there.inverse @ there)[:3] == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_a_laser_that_hangs_upside_down_sees_what_is_on_its_left_on_the_right() -> None:
+    said = Said()
+    said.say("map", "odom", Pose(0.0, 0.0, 0.0))
+    said.say("odom", "base_link", Pose(0.0, 0.0, 0.0))
+    # rolled over, and then turned by half a radian on the base
+    hanging = Stamped("base_link", "laser", 0, (0.0, 0.0, 0.5), (math.cos(0.25), math.sin(0.25), 0.0, 0.0))
+    said.say("base_link", "upright", Pose(0.0, 0.0, 0.5))
+    said.heard[TF_STATIC](write([hanging]))
+    assert (said.frames.hangs("laser"), said.frames.hangs("upright"), said.frames.hangs("nowhere")) == (
+        True,
+        False,
+        False,
+    )
+    stamp = {"sec": said.now // S, "nanosec": said.now % S}
+    scan = {"range_min": 0.1, "range_max": 9.0, "angle_min": 0.2, "angle_increment": 0.1, "ranges": [1.0, 2.0]}
+    message = {"header": {"stamp": stamp, "frame_id": "laser"}, **scan}
+    seen: list[tuple[Pose, Turn]] = []
+    planner: Any = SimpleNamespace(active=True, scan=lambda _now, pose, turn: seen.append((pose, turn)))
+    Laser(planner, said.frames).take(0.0, message)
+    driver = SimpleNamespace(scan=lambda turn, _moved, laser: seen.append((laser, turn)))
+    clock = SimpleNamespace(now_ns=lambda: said.now)
+    goto: Any = SimpleNamespace(_frames=said.frames, driver=driver, now=lambda: 0.0, _host=SimpleNamespace(clock=clock))
+    RobotGoto._scanned(goto, message)
+    assert len(seen) == 2
+    for pose, turn in seen:
+        # the first beam is 0.2 to the laser's left, which is 0.5 - 0.2 on the base
+        assert [pose.theta + turn.first, turn.step] == pytest.approx([0.3, -0.1])

@@ -159,8 +159,13 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
 
 @pytest.mark.parametrize("by", ["tf", "topic"])
 def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
-    """The robot drives along x while a beam straight ahead sees a wall at x = 3 m, the laser 0.5 m before its base."""
+    """The robot drives along x while a beam straight ahead sees a wall at x = 3 m, the laser 0.5 m before its base.
+
+    With frames the laser hangs upside down, turned by half a radian: straight ahead is half a radian on its left.
+    """
+    hangs = by == "tf"
     section = {"enabled": True, "pose": by, "pose_topic": "/truth", "period": 0.1, "map_frame": "odom"}
+    section["initial_pose"] = "/initialpose"
     with Place(tmp_path) as place:
         place.worker.start(place.config(modules={"mapper2d": section}))
         grids = place.far.subscribe("/mapper2d/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)
@@ -168,7 +173,11 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
         frames = place.far.advertise("/tf", "tf2_msgs/TFMessage")
         static = place.far.advertise("/tf_static", "tf2_msgs/TFMessage", latched=True)
         truth = place.far.advertise("/truth", "nav_msgs/Odometry")
-        place.far.publish(static, {"transforms": [transform("base_link", "laser", 0.5, {"sec": 1})]})
+        mounted = transform("base_link", "laser", 0.5, {"sec": 1})
+        if hangs:
+            mounted["transform"]["rotation"] = {"x": math.cos(0.25), "y": math.sin(0.25), "w": 0.0}
+        place.far.publish(static, {"transforms": [mounted]})
+        told = place.far.advertise("/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
         moved = 0.0
 
         def mapped() -> bool:
@@ -179,7 +188,16 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
                 place.far.publish(frames, {"transforms": [transform("odom", "base_link", moved, stamp)]})
                 pose = {"position": {"x": moved}, "orientation": {"w": 1.0}}
                 place.far.publish(truth, {"header": {"stamp": stamp, "frame_id": "odom"}, "pose": {"pose": pose}})
-                beams = {"angle_increment": 0.01, "range_min": 0.1, "range_max": 20.0, "ranges": [2.525 - moved]}
+                # neither is where the robot is
+                for frame, x in (("odom", math.nan), ("elsewhere", 9.0)):
+                    place.far.publish(told, {"header": {"frame_id": frame}, "pose": {"pose": {"position": {"x": x}}}})
+                beams = {
+                    "angle_min": 0.5 * hangs,
+                    "angle_increment": 0.01,
+                    "range_min": 0.1,
+                    "range_max": 20.0,
+                    "ranges": [2.525 - moved],
+                }
                 place.far.publish(scan, {"header": {"stamp": stamp, "frame_id": "laser"}, **beams})
                 moved = (moved + 0.1) % 1.0
                 time.sleep(0.01)  # between two poses of different times
