@@ -22,9 +22,11 @@ class Acting:
         self._server = ActionServer(bridge, params["action"])
         self._outcome, self._held = params.get("outcome", "succeed"), bool(params.get("held"))
         self._seconds = params["seconds"]
+        self._thread: threading.Thread | None = None
         self._server.send_goal.reply = {"accepted": self._outcome != "reject"}
         if self._outcome != "reject":
-            threading.Thread(target=self._run, daemon=True).start()
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
 
     def _run(self) -> None:
         if not self._server.send_goal.requests(1, self._seconds):
@@ -38,8 +40,8 @@ class Acting:
             self._end(CANCELED)
 
     def _end(self, status: int) -> None:
-        self._server.get_result.requests(1, self._seconds)
-        self._server.end(status, "laser")
+        if self._server.get_result.requests(1, self._seconds):
+            self._server.end(status, "laser")
 
     def goals(self) -> list[dict[str, Any]]:
         """The goals that came."""
@@ -52,6 +54,8 @@ class Acting:
     def close(self) -> None:
         """Leave."""
         self._server.close()
+        if self._thread is not None:
+            self._thread.join(self._seconds)
 
 
 class Sent:

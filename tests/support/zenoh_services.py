@@ -53,7 +53,7 @@ class Serving:
     def __init__(self, session: zenoh.Session, key: str, wire: Wire, params: dict[str, Any]) -> None:
         self.key, self.wire, self.type = key, wire, params["type"]
         self.reply, self.error = params.get("reply") or {}, params.get("error", "")
-        self.held = bool(params.get("held"))
+        self.held, self.ended = bool(params.get("held")), False
         self.arrived = threading.Condition()
         self.taken: list[Any] = []
         self.attachments: list[bytes | None] = []
@@ -88,7 +88,7 @@ class Serving:
 
     def requests(self, count: int = 1, seconds: float = 20.0) -> list[Any]:
         with self.arrived:
-            self.arrived.wait_for(lambda: len(self.taken) >= count, seconds)
+            self.arrived.wait_for(lambda: len(self.taken) >= count or self.ended, seconds)
             return list(self.taken)
 
     def release(self) -> None:
@@ -99,6 +99,9 @@ class Serving:
 
     def undeclare(self) -> None:
         self.queryable.undeclare()
+        with self.arrived:
+            self.ended = True
+            self.arrived.notify_all()
 
     def forget(self) -> None:
         """The session closes: zenoh waits for queries that are still held."""
