@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -53,6 +53,10 @@ class Turn:
     farthest: float
     ranges: NDArray[np.float64]
 
+    def turned_over(self) -> Turn:
+        """The same of a laser that hangs upside down: seen from above, its beams go round the other way."""
+        return replace(self, first=-self.first, step=-self.step)
+
 
 class ScanError(ValueError):
     """A scan that cannot be used; the text says why."""
@@ -64,16 +68,16 @@ def of_ros(message: Mapping[str, Any], time_ns: int, *, hangs: bool = False) -> 
     Args:
         message: as `bridge.messages.values` has it.
         time_ns: when it was made, on the clock of whoever takes it.
-        hangs: whether the laser hangs upside down: on the floor its beams go round the other way.
+        hangs: whether the laser hangs upside down.
 
     Raises:
         ScanError: its angles or limits are none.
     """
-    way = -1.0 if hangs else 1.0
-    return _turn(
-        time_ns, way * message["angle_min"], way * message["angle_increment"], message["range_min"],
-        message["range_max"], np.array(message["ranges"], np.float64),
+    made = _turn(
+        time_ns, message["angle_min"], message["angle_increment"], message["range_min"], message["range_max"],
+        np.array(message["ranges"], np.float64),
     )  # fmt: skip
+    return made.turned_over() if hangs else made
 
 
 def of_yarp(scan: LaserScan2D, time_ns: int) -> Turn:

@@ -118,8 +118,7 @@ class Mapper2D(Module):
         header = message["header"]
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         try:
-            turn = of_ros(message, stamp or now, hangs=self._poses.hangs(header["frame_id"]))
-            self._take(_Scan(now, header["frame_id"], turn))
+            self._take(_Scan(now, header["frame_id"], of_ros(message, stamp or now)))
         except ScanError as err:
             self._drop(str(err))
 
@@ -148,6 +147,8 @@ class Mapper2D(Module):
             scan, turn = self._waiting[0], self._waiting[0].turn
             try:
                 pose = self._poses.laser(scan.frame, turn.time_ns)
+                if self._poses.hangs(scan.frame):
+                    turn = turn.turned_over()
                 self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
             except FramesError as err:
                 if now - scan.came < _PATIENCE_NS:
