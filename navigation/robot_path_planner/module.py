@@ -17,7 +17,7 @@ from bridge.hub.qos import Durability, Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.module import Module
-from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, LINK, LOCATION, MAP
+from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
 from bridge.worker import Health
 from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.constraints import Constraints
@@ -38,8 +38,8 @@ from navigation.robot_path_planner.settings import settings_of
 from navigation.robot_path_planner.told import PREFIX, Told
 from navigation.robot_path_planner.words import PlannerServer
 from navigation.robot_path_planner.yarp_navigator import YarpNavigator
-from navigation.status import NO_GOAL, Fault, State
 from navigation.scan import SCAN
+from navigation.status import NO_GOAL, Fault, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
@@ -75,7 +75,8 @@ class RobotPathPlanner(Module):
         self._frames = Frames(host, section.frame, section.base_frame)
         self._laser = Laser(self.planner, self._frames)
         self._told = Told(host, section.frame, section.prefix)
-        self._closing = [host.store.watch(self._store_changed, MAP, CURRENT, AREA, BEHAVIOUR, LINK, LOCATION)]
+        # links and their locations are looked up whenever a way is planned
+        self._closing = [host.store.watch(self._store_changed, MAP, CURRENT, AREA, BEHAVIOUR)]
         self._store_due = False
         self._grid: MapGrid2D | None = None
         self._local = self._navigator()
