@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from yarp_compat.os import config_text
 from yarp_compat.os.property import Property
@@ -15,6 +15,33 @@ from yarp_compat.wire.text import plain_text
 
 class IniError(ValueError):
     """A file that cannot be used; the text names file and line of all that is wrong."""
+
+
+S = TypeVar("S")
+
+
+def laid_under(
+    section: S, file: Path | None, with_file: Callable[[S, Ini], tuple[S, list[str]]]
+) -> tuple[S, list[str]]:
+    """A section with what the file that it names says laid under it.
+
+    Args:
+        section: what the configuration says.
+        file: None for none.
+        with_file: lays what a file says under a section.
+
+    Returns:
+        the section, and what is odd in the file, each ``file:line: ...``.
+
+    Raises:
+        RuntimeError: the file is not there or cannot be used; the text says where and why.
+    """
+    if file is None:
+        return section, []
+    try:
+        return with_file(section, Ini(file))
+    except IniError as err:
+        raise RuntimeError(str(err)) from None
 
 
 class Ini:

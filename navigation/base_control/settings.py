@@ -13,7 +13,7 @@ from bridge.config.sections.base_control import INPUTS, BaseControlSection, Base
 from navigation.base_control.kinematics import KINDS, Kinematics, KinematicsError, kinematics
 from navigation.base_control.limits import FILTERS, Limits
 from navigation.base_control.velocity import FullControl
-from navigation.ini import Group, Ini, IniError
+from navigation.ini import Group, Ini, laid_under
 
 _GENERAL, _GEOMETRY, _MOTORS, _STICK = "BASECTRL_GENERAL", "ROBOT_GEOMETRY", "MOTORS", "JOYSTICK"
 _INPUT = "BASECTRL_INPUTS_{}"
@@ -70,12 +70,7 @@ def settings(section: BaseControlSection) -> Settings:
     Raises:
         RuntimeError: the file is not there or cannot be used, or the joints do not fit; the text says where and why.
     """
-    notes: list[str] = []
-    if section.ini is not None:
-        try:
-            section, notes = with_file(section, Ini(section.ini))
-        except IniError as err:
-            raise RuntimeError(str(err)) from None
+    section, notes = laid_under(section, section.ini, with_file)
     try:
         base = kinematics(section.kind, section.wheel_radius, section.wheel_distance)
     except KinematicsError as err:

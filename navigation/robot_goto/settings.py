@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from bridge.config.sections.robot_goto import RobotGotoSection
-from navigation.ini import Ini, IniError
+from navigation.ini import laid_under
 from navigation.robot_goto.inifile import with_file
 
 
@@ -86,12 +86,7 @@ def settings_of(section: RobotGotoSection) -> tuple[Settings, RobotGotoSection, 
     Raises:
         RuntimeError: the file is not there or cannot be used; the text says where and why.
     """
-    notes: list[str] = []
-    if section.ini is not None:
-        try:
-            section, notes = with_file(section, Ini(section.ini))
-        except IniError as err:
-            raise RuntimeError(str(err)) from None
+    section, notes = laid_under(section, section.ini, with_file)
     made = Settings(
         holonomic=section.robot_is_holonomic,
         max_beta_angle=math.radians(section.max_beta_angle),

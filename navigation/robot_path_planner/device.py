@@ -101,8 +101,12 @@ class Device:
         return self._asked.planner.status.state.value
 
     def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
-        target = self._asked.planner.target
-        return None if target is None else _location(target.map_name, target.pose)
+        def found() -> Map2DLocation | None:
+            target = self._asked.planner.target
+            return None if target is None else _location(target.map_name, target.pose)
+
+        location: Map2DLocation | None = self._call(found)
+        return location
 
     def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
         def found() -> tuple[float, float, float] | None:
@@ -116,13 +120,22 @@ class Device:
         return relative
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
-        ground, point = self._asked.planner.ground, self._asked.planner.waypoint
-        return None if point is None or ground is None else _location(ground.name, point.pose)
+        def found() -> Map2DLocation | None:
+            ground, point = self._asked.planner.ground, self._asked.planner.waypoint
+            return None if point is None or ground is None else _location(ground.name, point.pose)
+
+        location: Map2DLocation | None = self._call(found)
+        return location
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
         """YARP's answers either kind with its way."""
-        ground, points = self._asked.planner.ground, self._asked.planner.waypoints
-        return None if ground is None else Map2DPath([_location(ground.name, each.pose) for each in points])
+
+        def found() -> Map2DPath | None:
+            ground, points = self._asked.planner.ground, self._asked.planner.waypoints
+            return None if ground is None else Map2DPath([_location(ground.name, each.pose) for each in points])
+
+        path: Map2DPath | None = self._call(found)
+        return path
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.local_map:

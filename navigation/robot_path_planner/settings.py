@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from bridge.config.sections.robot_path_planner import RobotPathPlannerSection
 from navigation.constraints import Constraints
-from navigation.ini import Ini, IniError
+from navigation.ini import laid_under
 from navigation.robot_path_planner.inifile import with_file
 
 
@@ -54,12 +54,7 @@ def settings_of(section: RobotPathPlannerSection) -> tuple[Settings, RobotPathPl
     Raises:
         RuntimeError: the file is not there or cannot be used; the text says where and why.
     """
-    notes: list[str] = []
-    if section.ini is not None:
-        try:
-            section, notes = with_file(section, Ini(section.ini))
-        except IniError as err:
-            raise RuntimeError(str(err)) from None
+    section, notes = laid_under(section, section.ini, with_file)
     made = Settings(
         robot_radius=section.robot_radius,
         clearance=section.clearance,
