@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -68,11 +69,18 @@ def test_a_network_clock_is_followed(clock: Clock) -> None:
     assert abs(yarp.now() - time.time()) < 1
 
 
+def waits(thread: threading.Thread) -> bool:
+    """Whether a thread has come to wait for another one."""
+    frame = sys._current_frames().get(thread.ident or 0)
+    return frame is not None and (frame.f_code.co_filename, frame.f_code.co_name) == (threading.__file__, "wait")
+
+
 def test_a_delay_is_in_the_clocks_time_and_no_longer_when_it_is_set_back(clock: Clock) -> None:
     follow(clock)
     done = threading.Event()
     thread = threading.Thread(target=lambda: (yarp.delay(5), done.set()))
     thread.start()
+    until(lambda: waits(thread), "the delay has begun")
     clock.say(104, 999_999_999)
     assert not done.wait(0.2)
     clock.say(10)  # begins anew: five seconds less a nanosecond were over
