@@ -74,6 +74,11 @@ class Site:
     def reader(self, port: str) -> Reader:
         return self._stack.enter_context(Reader(port, naming=self.names))
 
+    def reaches(self, port: str) -> bool:
+        """Whether the bridge is connected to a port of the robot's."""
+        ports = self.deployment.worker("yarp").get("ports", [])
+        return any(peer["port"] == port for one in ports for peer in one["peers"])
+
     def close(self) -> None:
         self._stack.close()
 
@@ -109,6 +114,7 @@ def test_a_robot_of_yarp_is_driven_by_move_base_and_found_by_amcl(site: Site) ->
     site.program(ROS1_PYTHON, "ros1_move_base.py", SPEED, PATIENCE, **environment)
     client = site.client()
     knows_the_map(client)
+    until(lambda: site.reaches("/baseControl/control:i"), "velocities cross", SECONDS, every=0.2)
     goes(client, "kitchen")
     here, covariance = Map2DLocation(), Matrix()
 
