@@ -81,7 +81,7 @@ def pytest_testnodedown(node: object, error: object) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     leads = session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput")
     look = dict if leads else _threads  # the tests ran elsewhere; xdist has threads of its own here
-    end = time.monotonic() + 5
+    end = time.monotonic() + 20  # what is about to end does so late on a busy machine
     while (left := {**_processes(), **look()}) and time.monotonic() < end:
         time.sleep(0.05)
     found = [f"{name} (first seen after {_started_by.get(thing, 'an unknown test')})" for thing, name in left.items()]

@@ -48,7 +48,7 @@ def test_faults_on_the_way(tmp_path: Path) -> None:
         stands_and_says(chain, "laser_silent", "laser is silent")
         stands_and_says(chain, "encoders_silent", "odometry is stale")
         assert asked.ended is None
-        assert chain.said(asked.began)[-1][0] == "moving"
+        until(lambda: chain.said(asked.began)[-1][0] == "moving", "the client hears that it goes on", 20)
 
         killed = chain.kill("robot_path_planner")
         chain.until_still(20)
