@@ -25,7 +25,6 @@ class SentGoal:
         id: its 16 bytes.
         accepted: whether the server took it; None until it has said so.
         status: what is known of it; a terminal one once it has ended.
-        active: whether it has not ended.
     """
 
     def __init__(self, client: ActionClient, goal_id: bytes, feedback: Heard | None, ended: Ended) -> None:
@@ -34,8 +33,12 @@ class SentGoal:
         self.status = Status.UNKNOWN
         self._client, self._ended = client, ended
         self.feedback = feedback
-        self.active = True
         self._cancel_wanted = False
+
+    @property
+    def active(self) -> bool:
+        """Whether it has not ended, and its end would be heard of."""
+        return self._client.has(self.id)
 
     def cancel(self) -> None:
         """Ask the server to cancel it; the end tells whether it did. Before the acceptance it is asked after that."""
@@ -66,7 +69,7 @@ class SentGoal:
     def finish(self, status: Status, result: dict[str, Any] | None, why: str) -> None:
         """Tell of the end, once."""
         if self._client.forget(self.id):
-            self.status, self.active = status, False
+            self.status = status
             self._ended(self, result, why)
 
 
@@ -119,6 +122,10 @@ class ActionClient:
         self._goals.clear()
         for end in (self._send, self._result, self._cancel, self._feedback):
             self._node.release(end)
+
+    def has(self, goal_id: bytes) -> bool:
+        """Whether a goal of its own is under way."""
+        return goal_id in self._goals
 
     def forget(self, goal_id: bytes) -> bool:
         """The goal ended; whether it had not before."""

@@ -15,6 +15,7 @@ from bridge.modules.action_server import Goal
 from bridge.modules.goal import Status
 from navigation.constraints import PREFIX, Constraints
 from navigation.maps.grid import yaw_of
+from navigation.messages import pose_message
 from navigation.pose import Pose
 
 _NO_STAMP = {"sec": 0, "nanosec": 0}
@@ -50,12 +51,10 @@ class Target:
 
     def stamped(self, robot: Pose | None = None) -> dict[str, Any]:
         """As a ``geometry_msgs/PoseStamped``."""
-        x, y, theta, _ = self.pose
-        if math.isnan(theta):
-            theta = 0.0 if robot is None else math.atan2(y - robot.y, x - robot.x)
-        turn = {"x": 0.0, "y": 0.0, "z": math.sin(theta / 2), "w": math.cos(theta / 2)}
-        place = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
-        return {"header": {"stamp": _NO_STAMP, "frame_id": self.frame}, "pose": place}
+        pose = self.pose
+        if math.isnan(pose.theta) and robot is not None:
+            pose = pose._replace(theta=math.atan2(pose.y - robot.y, pose.x - robot.x))
+        return {"header": {"stamp": _NO_STAMP, "frame_id": self.frame}, "pose": pose_message(pose)}
 
 
 class TargetError(ValueError):

@@ -6,7 +6,9 @@ import math
 
 from bridge.stores.kinds import AREA, LOCATION, OBJECT, PATH
 from bridge.stores.store import Store
-from navigation.map2d_server.messages import Head, Message, colour, points, pose
+from navigation.map2d_server.messages import Head, Message, colour, points
+from navigation.messages import pose_message
+from navigation.pose import Pose
 from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map2DPath
 
 TOPIC = "/map_locations"
@@ -49,13 +51,14 @@ class _Markers:
 
     def add_location(self, name: str, location: Map2DLocation) -> None:
         shape = {"x": 0.4, "y": 0.08, "z": 0.08}
-        yaw = math.radians(location.theta)
-        self._add("location", name, _ARROW, pose=pose(location.x, location.y, yaw), scale=shape, color=_GREEN)
+        place = pose_message(Pose(location.x, location.y, math.radians(location.theta)))
+        self._add("location", name, _ARROW, pose=place, scale=shape, color=_GREEN)
         self._text("location", name, location.x, location.y)
 
     def add_object(self, name: str, thing: Map2DObject) -> None:
         shape = {"x": 0.15, "y": 0.15, "z": 0.15}
-        self._add("object", name, _CUBE, pose=pose(thing.x, thing.y, 0.0, thing.z), scale=shape, color=_ORANGE)
+        place = pose_message(Pose(thing.x, thing.y, 0.0), thing.z)
+        self._add("object", name, _CUBE, pose=place, scale=shape, color=_ORANGE)
         self._text("object", name, thing.x, thing.y)
 
     def add_area(self, name: str, area: Map2DArea) -> None:
@@ -72,11 +75,12 @@ class _Markers:
 
     def _line(self, kind: str, name: str, corners: list[tuple[float, float]], color: Message) -> None:
         width = {"x": 0.04, "y": 0.0, "z": 0.0}
-        self._add(kind, name, _LINES, pose=pose(0, 0, 0), scale=width, color=color, points=points(corners))
+        place = pose_message(Pose(0.0, 0.0, 0.0))
+        self._add(kind, name, _LINES, pose=place, scale=width, color=color, points=points(corners))
 
     def _text(self, kind: str, name: str, x: float, y: float) -> None:
         shape = {"x": 0.0, "y": 0.0, "z": _TEXT_HEIGHT}
-        place = pose(x, y, 0.0, 0.2)
+        place = pose_message(Pose(x, y, 0.0), 0.2)
         self._add(f"{kind} name", name, _TEXT, pose=place, scale=shape, color=colour(1, 1, 1), text=name)
 
     def _add(self, kind: str, name: str, form: int, **fields: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -33,14 +32,6 @@ class Head:
         """``std_msgs/msg/Header`` of now."""
         seconds, nanoseconds = divmod(self.now_ns(), 1_000_000_000)
         return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": self.frame}
-
-
-def pose(x: float, y: float, yaw: float, z: float = 0.0) -> Message:
-    """``geometry_msgs/msg/Pose``; metres and radians."""
-    return {
-        "position": {"x": x, "y": y, "z": z},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)},
-    }
 
 
 def colour(red: float, green: float, blue: float) -> Message:
