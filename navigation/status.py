@@ -52,17 +52,32 @@ class Fault(IntEnum):
     NOT_LOCALIZED = 9010
     NO_NAVIGATOR = 9011
     MAP_CHANGED = 9012
+    BASE_STANDS = 9013
     OTHER = 9099
+
+    @property
+    def anywhere(self) -> bool:
+        """Whether it is the robot's and not the way's: by another way it would be the same."""
+        return self in (Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS)
+
+    @classmethod
+    def parse(cls, code: int) -> Fault:
+        """The fault of a planner of Midspan's by its number; OTHER where it is none of ours."""
+        try:
+            return cls(code)
+        except ValueError:
+            return cls.OTHER
 
 
 def status_message(
     stamp: Mapping[str, int],
     state: State,
     reason: str = "",
+    code: int = Fault.NONE,
     *,
     goal_id: bytes = NO_GOAL,
     goal: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A ``midspan_msgs/NavigationStatus``; the goal is a ``geometry_msgs/PoseStamped``."""
-    said = {"header": {"stamp": stamp}, "state": state.value, "reason": reason, "goal_id": list(goal_id)}
-    return said if goal is None else {**said, "goal": goal}
+    """A ``midspan_msgs/NavigationStatus``; the goal is a ``geometry_msgs/PoseStamped``, the code a `Fault`."""
+    said = {"header": {"stamp": stamp}, "state": state.value, "reason": reason, "error_code": int(code)}
+    return {**said, "goal_id": list(goal_id), **({} if goal is None else {"goal": goal})}

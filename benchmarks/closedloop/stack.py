@@ -18,7 +18,7 @@ from navigation.robot_goto.settings import Settings as DriverSettings
 from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.planner import PathPlanner
 from navigation.robot_path_planner.settings import Settings as PlannerSettings
-from navigation.status import State
+from navigation.status import Fault, State
 
 RADII = {"r1": 0.3, "ikart_v1": 0.38}
 """What the navigation takes the robots' radii for: R1's as in its own files, iKart's a little more than its hull."""
@@ -79,6 +79,11 @@ class Ours:
     def reason(self) -> str:
         """See there."""
         return self.driver.status.reason
+
+    @property
+    def fault(self) -> Fault:
+        """See there."""
+        return self.driver.status.fault
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """See there."""

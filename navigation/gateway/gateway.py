@@ -55,7 +55,7 @@ class Gateway:
         self.drive: Drive | None = None
         self.planner = section.planner
         self._next: NavigationSection | None = None
-        self._last: tuple[State, str] = (State.IDLE, "")
+        self._last: tuple[State, str, int] = (State.IDLE, "", 0)
         self._said: tuple[Any, ...] = ()
         self._pause: Timer | None = None
         self.link = Link(host, section, self.planner, self._changed)
@@ -224,7 +224,7 @@ class Gateway:
         if drive is None:
             others = self.link.others
             if not others:
-                return self._last
+                return self._last[:2]
             state, why = told(others[-1]) or (State.MOVING, "")
             return state, why or f"a goal that {self.planner} was given itself"
         if drive.stopping:
@@ -244,15 +244,25 @@ class Gateway:
 
     def status(self) -> Message:
         """The same as a ``midspan_msgs/NavigationStatus``."""
-        drive = self.drive
-        state, why = self.state()
-        stamp = self._host.clock.stamp()
+        drive, others = self.drive, self.link.others
+        said = (self._host.clock.stamp(), *self.state(), self._code())
         if drive is not None:
-            return status_message(stamp, state, why, goal_id=drive.id, goal=drive.target.stamped(self.robot()))
-        others = self.link.others
+            return status_message(*said, goal_id=drive.id, goal=drive.target.stamped(self.robot()))
         if others:
-            return status_message(stamp, state, why, goal_id=others[-1], goal=self.link.pose(others[-1]))
-        return status_message(stamp, state, why)
+            return status_message(*said, goal_id=others[-1], goal=self.link.pose(others[-1]))
+        return status_message(*said)
+
+    def _code(self) -> int:
+        """Why it waits, or how it ended, as a number."""
+        drive = self.drive
+        if drive is None:
+            others = self.link.others
+            return self.link.code(others[-1]) if others else self._last[2]
+        if drive.waiting_until is not None:
+            return Fault.NO_NAVIGATOR
+        if drive.paused or drive.stopping or drive.below is None:
+            return 0
+        return self.link.code(drive.below.id)
 
     # -- the planner's side --------------------------------------------------------------------------------------------
 
@@ -322,7 +332,7 @@ class Gateway:
             self._host.loop.after(DOUBTFUL_SECONDS, lambda: self._judge(drive, sent, said))
 
     def _judge(self, drive: Drive, sent: SentGoal, said: str) -> None:
-        """The planner gave no code: it is one of actionlib's, which has texts alone, or a bridge says that it is gone."""
+        """The planner gave no code: it is one of actionlib's, which has texts alone, or a bridge says it is gone."""
         if self.drive is not drive or drive.sent is not sent or drive.paused or drive.stopping:
             return
         lost = self.link.lost_at
@@ -371,9 +381,9 @@ class Gateway:
         self.drive = None
         self._unpause()
         self._last = {
-            Status.SUCCEEDED: (State.REACHED, ""),
-            Status.CANCELED: (State.IDLE, why),
-        }.get(status, (State.ABORTED, why))
+            Status.SUCCEEDED: (State.REACHED, "", 0),
+            Status.CANCELED: (State.IDLE, why, 0),
+        }.get(status, (State.ABORTED, why, int(code)))
         self.link.ended = None
         if status is Status.ABORTED:
             self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
@@ -382,7 +392,7 @@ class Gateway:
         self._changed()
 
     def _end_idle(self, why: str) -> None:
-        self._last = (State.IDLE, why)
+        self._last = (State.IDLE, why, 0)
         self._changed()
 
     # -- its own -------------------------------------------------------------------------------------------------------
@@ -427,7 +437,7 @@ class Gateway:
             (goal, ended, why), self.link.ended = self.link.ended, None
             told = self.link.told(goal)
             why = why or (told[1] if told else "")
-            self._last = (ended, why or f"a goal that {self.planner} was given itself")
+            self._last = (ended, why or f"a goal that {self.planner} was given itself", self.link.code(goal))
         drive = self.drive
         said = (*self.state(), drive and drive.id, drive and drive.at, None if drive else tuple(self.link.others[-1:]))
         if said != self._said:

@@ -98,6 +98,11 @@ class Link:
             return None
         return State(own["state"]), str(own["reason"])
 
+    def code(self, goal_id: bytes) -> int:
+        """Why the goal waits, or was not reached, as a number; 0 where it tells none."""
+        own = self._own
+        return int(own["error_code"]) if own is not None and bytes(own["goal_id"]) == goal_id else 0
+
     def pose(self, goal_id: bytes) -> Message | None:
         """Where a goal that it was given by others leads to, as far as it tells."""
         own = self._own

@@ -76,6 +76,7 @@ class Driver:
         command: what was commanded last.
         spoken: what there is to say to people around, the oldest first; taken out by whoever says it.
         bearing: where the goal is seen from the robot's front, radians.
+        unplaced: why scans that come cannot be taken up: frames are missing. Set by whoever gives them.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -96,6 +97,7 @@ class Driver:
         self._passed = 0.0
         self._last = STILL
         self.bearing = 0.0
+        self.unplaced, self._blind = "", False
         self._clear()
 
     def forget(self) -> None:
@@ -211,7 +213,9 @@ class Driver:
             moved: where the base was in the odometry's frame as it was made (on the map where there is no odometry).
             laser: where the laser is on the base.
         """
-        self.grid.scan(scan, moved, laser)
+        self.unplaced, self._blind = "", bool(np.isnan(scan.ranges).all())
+        if not self._blind:
+            self.grid.scan(scan, moved, laser)
 
     def step(self, now: float, pose: Pose | None, moved: Pose | None = None, why: str = "") -> Command:
         """What to command now.
@@ -253,7 +257,7 @@ class Driver:
             return STILL if coasting else self._wait(now, reason, fault)
         if self._stall.waits(now) and not coasting:
             self._waiting_since, self._removed_at = self._stall.since, now
-            return self._wait(now, _DOES_NOT_FOLLOW, Fault.BLOCKED)
+            return self._wait(now, _DOES_NOT_FOLLOW, Fault.BASE_STANDS)
         if coasting:
             self._coast -= passed
             return self._guarded(now, moved, self._last) if self._coast > 0.0 else STILL
@@ -266,14 +270,25 @@ class Driver:
         return self._guarded(now, moved, self._last)
 
     def _trouble(self, now: float, pose: Pose | None, why: str) -> tuple[str, Fault] | None:
+        unseen = self._unseen(now)
+        if unseen and not self.unplaced:
+            return unseen, Fault.NO_LASER  # first, as a robot that does not see may not know where it is either
         if pose is None and self._task is not None:
             return f"where the robot is is not known{': ' if why else ''}{why}", Fault.NOT_LOCALIZED
-        scanned = self.grid.scanned
-        if scanned is None:
-            return "no scan of the laser has come yet", Fault.NO_LASER
-        if now - scanned > self.settings.laser_timeout:
-            return f"the laser is silent: its last scan is {now - scanned:.1f} s old", Fault.NO_LASER
+        if unseen:
+            return f"it is not known where the laser's scans are: {self.unplaced}", Fault.NO_LASER
         return None
+
+    def _unseen(self, now: float) -> str:
+        """Why nothing is seen; "" where something is."""
+        scanned = self.grid.scanned
+        if scanned is not None and now - scanned <= self.settings.laser_timeout:
+            return ""
+        if self._blind:
+            return "the laser is blind: none of its beams says anything"
+        if scanned is None:
+            return "no scan of the laser has come yet"
+        return f"the laser is silent: its last scan is {now - scanned:.1f} s old"
 
     def _wait(self, now: float, reason: str, fault: Fault) -> Command:
         """Stand still until it is over, and fail where it is not in time."""

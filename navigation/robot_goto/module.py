@@ -115,6 +115,7 @@ class RobotGoto(Module):
             self.driver.scan(turn, moved_at(self._frames, stamp), laser)
         except (FramesError, ScanError) as err:
             self._laser_trouble = str(err)
+            self.driver.unplaced = str(err) if isinstance(err, FramesError) else ""
         else:
             self._laser_trouble = ""
 
@@ -130,6 +131,7 @@ class RobotGoto(Module):
             self.driver.scan(turn, moved_at(self._frames, 0), Pose(at.x, at.y, math.radians(at.theta)))
         except (FramesError, ScanError) as err:
             self._laser_trouble = str(err)
+            self.driver.unplaced = str(err) if isinstance(err, FramesError) else ""
         else:
             self._laser_trouble = ""
 

@@ -71,7 +71,9 @@ class Told:
             self._last = status, goal_id
             goal = None if target is None else {"header": self._header(), "pose": pose_message(target.pose)}
             self._status.publish(
-                status_message(self._host.clock.stamp(), status.state, status.reason, goal_id=goal_id, goal=goal)
+                status_message(
+                    self._host.clock.stamp(), status.state, status.reason, status.fault, goal_id=goal_id, goal=goal
+                )
             )
             self._said = -math.inf
         if self._ports and not 0.0 <= now - self._said < _SAID_AGAIN:

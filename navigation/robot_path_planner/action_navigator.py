@@ -11,7 +11,7 @@ from bridge.modules.goal import Status
 from bridge.modules.host import Host
 from navigation.constraints import Constraints
 from navigation.pose import Pose
-from navigation.status import STATUS, State
+from navigation.status import STATUS, Fault, State
 
 ACTION = "nav2_msgs/action/NavigateToPose"
 _OURS = "/planner/robot_goto/"
@@ -31,7 +31,7 @@ class ActionNavigator:
         self._frame, self._action = frame, action
         self._client = host.node.action_client(action, ACTION)
         self._goal: SentGoal | None = None
-        self._state, self._reason = State.IDLE, ""
+        self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
         if action.endswith(_TAIL):
             latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
             host.node.subscription(action.removesuffix(_TAIL) + "/status", STATUS, self._told, latched)
@@ -46,9 +46,14 @@ class ActionNavigator:
         """Why it waits, failed or is not there."""
         return self._reason if self._client.ready else f"nobody serves {self._action}"
 
+    @property
+    def fault(self) -> Fault:
+        """The same as a number, of a planner of Midspan's."""
+        return self._fault if self._client.ready else Fault.NO_NAVIGATOR
+
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive there, instead of where it was sent before."""
-        self._state, self._reason = State.PREPARING, ""
+        self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
         place = {
             "position": {"x": pose.x, "y": pose.y, "z": 0.0},
             "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(pose.theta / 2), "w": math.cos(pose.theta / 2)},
@@ -62,7 +67,7 @@ class ActionNavigator:
     def cancel(self) -> None:
         """Stand still."""
         goal, self._goal = self._goal, None
-        self._state, self._reason = State.IDLE, ""
+        self._state, self._reason, self._fault = State.IDLE, "", Fault.NONE
         if goal is not None and not goal.status.terminal:
             goal.cancel()
 
@@ -85,12 +90,14 @@ class ActionNavigator:
         except ValueError:
             return
         if not state.ended:
-            self._state, self._reason = state, status["reason"]
+            self._state, self._reason, self._fault = state, status["reason"], Fault.parse(status["error_code"])
 
     def _ended(self, goal: SentGoal, result: dict[str, Any] | None, why: str) -> None:
         if goal is not self._goal:
             return  # another has taken its place
         said = (result or {}).get("error_msg", "") or why
+        ours = self._action.startswith(_OURS)
+        self._fault = Fault.parse((result or {}).get("error_code", 0)) if ours else Fault.NONE
         if goal.status is Status.SUCCEEDED:
             self._state, self._reason = State.REACHED, said
         elif goal.status is Status.CANCELED:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from navigation.constraints import Constraints
 from navigation.pose import Pose
-from navigation.status import State
+from navigation.status import Fault, State
 
 
 class LocalNavigator(Protocol):
@@ -16,6 +16,7 @@ class LocalNavigator(Protocol):
         state: of the goal that was sent last, from the moment on at which it was sent; `State.ERROR` also where there
             is no navigator.
         reason: why it waits, failed or is not there.
+        fault: the same as a number; `Fault.NONE` where it says none.
     """
 
     @property
@@ -24,6 +25,10 @@ class LocalNavigator(Protocol):
 
     @property
     def reason(self) -> str:
+        """See above."""
+
+    @property
+    def fault(self) -> Fault:
         """See above."""
 
     def send(self, pose: Pose, constraints: Constraints) -> None:

@@ -254,6 +254,7 @@ class RobotPathPlanner(Module):
             pose = self.pose()
         except FramesError as err:
             lost = str(err)
+        self.planner.blind = self._laser.silent(self.now())
         self.planner.step(self.now(), pose, self._local, lost)
         self._tell()
         self._feed(pose)

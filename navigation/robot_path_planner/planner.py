@@ -75,6 +75,7 @@ class PathPlanner:
     Attributes:
         settings: may be replaced; what is planned from then on goes by it.
         status: as it is now.
+        blind: why the laser says nothing, in words; empty where it does. Whoever gives scans sets it.
     """
 
     def __init__(self, settings: Settings | None = None, atlas: Atlas | None = None) -> None:
@@ -89,6 +90,7 @@ class PathPlanner:
         self._seen: _Seen | None = None
         self._watched = -math.inf
         self.status = Status(State.IDLE)
+        self.blind = ""
 
     @property
     def ground(self) -> Ground | None:
@@ -343,14 +345,17 @@ class PathPlanner:
                 task.at += 1
                 self._send(task, local)
         elif state in (State.FAILING, State.ABORTED):
-            self._recover(task, now, pose, local.reason or "the local navigator gave up")
+            why = local.reason or "the local navigator gave up"
+            if local.fault.anywhere:
+                raise PlanError(local.fault, why)
+            self._recover(task, now, pose, why)
         elif state is State.IDLE:
             why = local.reason or "somebody else stopped it"
             raise PlanError(Fault.OTHER, f"the local navigator drives no more: {why}")
         elif state is State.ERROR:
             self._wait_for_navigator(task, now, local)
         else:
-            self.status = Status(state, local.reason or task.note)
+            self.status = Status(state, local.reason or task.note, local.fault)
             self._count(task, pose)
             if now - self._watched >= _WATCH:
                 self._watched = now
@@ -403,7 +408,7 @@ class PathPlanner:
         task.due, task.not_before = why, now + 2.0**task.attempts - 0.5
         task.attempts += 1
         task.recoveries += 1
-        self.status = Status(State.WAITING, f"{why}; it is tried again")
+        self.status = Status(State.WAITING, f"{why}; it is tried again", Fault.BLOCKED)
 
     def _arrive(self, task: Task, now: float, local: LocalNavigator) -> None:
         assert task.leg is not None
@@ -446,19 +451,22 @@ class PathPlanner:
         if now - task.blocked_since > self.settings.waiting:
             raise PlanError(Fault.BLOCKED, f"{why}, and has for {now - task.blocked_since:.0f} s")
         task.not_before = now + _AGAIN
-        self.status = Status(State.WAITING, why)
+        self.status = Status(State.WAITING, why, Fault.BLOCKED)
 
     def _wait_for_pose(self, task: Task, now: float, local: LocalNavigator, why: str) -> None:
         why = f"it is not known where the robot is: {why}" if why else "it is not known where the robot is"
+        fault = Fault.NOT_LOCALIZED
+        if self.blind:  # without a laser the localisation is lost too
+            why, fault = self.blind, Fault.NO_LASER
         task.lost_since = now if task.lost_since is None else task.lost_since
         lost = now - task.lost_since
         if lost >= _GLITCH and not task.due:
             local.cancel()
             task.due, task.not_before = "it is known again where the robot is", -math.inf
         if lost > (self.settings.waiting if task.placed else _BEGIN):
-            raise PlanError(Fault.NOT_LOCALIZED, why)
+            raise PlanError(fault, why)
         if task.due:
-            self.status = Status(State.WAITING, why)
+            self.status = Status(State.WAITING, why, fault)
 
     def _wait_for_navigator(self, task: Task, now: float, local: LocalNavigator) -> None:
         if task.gone_since is None:
@@ -469,7 +477,7 @@ class PathPlanner:
         why = local.reason or "there is no local navigator"
         if now - task.gone_since > (self.settings.waiting if task.driven else _BEGIN):
             raise PlanError(Fault.NO_NAVIGATOR, why)
-        self.status = Status(State.WAITING, why)
+        self.status = Status(State.WAITING, why, Fault.NO_NAVIGATOR)
 
     def _end(self, local: LocalNavigator, status: Status) -> None:
         if status.state is not State.REACHED:

@@ -56,7 +56,9 @@ class Told:
             self._last, self._published = (status, goal_id), now
             goal = None if target is None else {"header": self._header(), "pose": pose_message(target.pose)}
             self._status.publish(
-                status_message(self._host.clock.stamp(), status.state, status.reason, goal_id=goal_id, goal=goal)
+                status_message(
+                    self._host.clock.stamp(), status.state, status.reason, status.fault, goal_id=goal_id, goal=goal
+                )
             )
             self._said = -math.inf
         if self._words is not None and now - self._said >= _SAID_AGAIN:

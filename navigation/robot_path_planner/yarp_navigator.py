@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from navigation.constraints import Constraints
 from navigation.pose import Pose
-from navigation.status import State
+from navigation.status import Fault, State
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, statusToString
 from yarp_compat.dev.locations import Map2DLocation
@@ -54,6 +54,11 @@ class YarpNavigator:
     def reason(self) -> str:
         """Why it is not there."""
         return self._reason
+
+    @property
+    def fault(self) -> Fault:
+        """INavigation2D has no words for one."""
+        return Fault.NONE
 
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive there, instead of where it was sent before."""

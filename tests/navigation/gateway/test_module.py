@@ -43,8 +43,8 @@ def test_a_goal_its_feedback_and_its_end_go_through(rig: Rig) -> None:
     goal = rig.planner.until(1)
     assert at(goal) == ("map", 3.0, 1.0)
     assert rig.state(State.MOVING)["goal_id"].tobytes() == asked.sent.id
-    rig.planner.tell(goal, State.WAITING, "a chair")
-    rig.state(State.WAITING, "a chair")
+    rig.planner.tell(goal, State.WAITING, "a chair", 9008)
+    assert rig.state(State.WAITING, "a chair")["error_code"] == 9008
     rig.planner.on(lambda: goal.feedback({"distance_remaining": 2.5, "current_pose": pose(0.5)}))
     until(lambda: asked.feedback, "the feedback came", 20)
     assert asked.feedback[0]["distance_remaining"] == 2.5
@@ -60,7 +60,7 @@ def test_an_abort_comes_with_its_reason(rig: Rig) -> None:
     assert asked.end() == ("ABORTED", "no way leads there")
     assert asked.result is not None
     assert asked.result["error_code"] == 9006
-    rig.state(State.ABORTED, "no way leads there")
+    assert rig.state(State.ABORTED, "no way leads there")["error_code"] == 9006
 
 
 def test_a_reason_without_a_code_is_that_of_a_planner_that_is_there(rig: Rig) -> None:

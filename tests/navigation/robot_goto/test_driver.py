@@ -169,6 +169,42 @@ def test_a_silent_laser_stops_it_and_it_goes_on():
     assert scene.driver.status.state is State.REACHED
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("seen", "said"), [(None, "the laser is silent"), (math.nan, "the laser is blind")])
+def test_a_laser_that_stays_away_ends_the_goal_and_is_named_as_the_cause(seen, said, known):
+    """Also where the localisation, which lives of it, is lost for that."""
+    scene = Scene(max_waiting_time=3.0)
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(2.0)
+    scene.edit = lambda ranges: seen and np.full_like(ranges, seen)
+    scene.run(1.0)
+    scene.known = known
+    scene.run(0.1)
+    state, reason, fault = scene.driver.status
+    assert (state, fault) == (State.WAITING, Fault.NO_LASER)
+    assert said in reason
+    scene.until(lambda: scene.driver.status.ended, 10)
+    state, reason, fault = scene.driver.status
+    assert (state, fault) == (State.FAILING, Fault.NO_LASER)
+    assert said in reason
+
+
+def test_scans_that_have_no_place_are_the_frames_fault():
+    scene = Scene()
+    scene.driver.goal(Pose(3.0, 0.0, math.nan))
+    scene.run(2.0)
+    scene.edit, scene.driver.unplaced = lambda _ranges: None, "there is no frame 'laser'"
+    scene.run(2.0)
+    reason = "it is not known where the laser's scans are: there is no frame 'laser'"
+    assert scene.driver.status == (State.WAITING, reason, Fault.NO_LASER)
+    scene.known = False
+    scene.run(0.1)
+    assert scene.driver.status.fault is Fault.NOT_LOCALIZED
+    scene.known, scene.edit = True, lambda ranges: ranges
+    scene.run(0.5)
+    assert scene.driver.status.state is State.MOVING
+
+
 @pytest.mark.parametrize("fault", ["emergency stop", "frozen odometry"])
 def test_a_base_that_does_not_follow_is_waited_for_and_tried_again(fault):
     scene = Scene()
@@ -195,7 +231,7 @@ def test_a_base_that_never_follows_ends_the_goal():
     scene.run(2.0)
     scene.fail("emergency stop")
     scene.until(lambda: scene.driver.status.ended, 20)
-    assert scene.driver.status.state is State.FAILING
+    assert scene.driver.status[::2] == (State.FAILING, Fault.BASE_STANDS)
     assert "does not follow" in scene.driver.status.reason
 
 
@@ -218,7 +254,7 @@ def test_lost_it_stops_at_once_and_goes_on():
 
 def test_what_the_laser_says_nothing_of_is_not_free():
     scene = Scene()
-    scene.edit = lambda ranges: np.full_like(ranges, np.nan)
+    scene.edit = lambda ranges: np.where(np.arange(len(ranges)) < 20, ranges, np.nan)  # behind it
     scene.driver.goal(Pose(2.0, 0.0, math.nan))
     scene.run(20.0)
     assert scene.pose.distance(Pose(0.0, 0.0, 0.0)) < 0.02

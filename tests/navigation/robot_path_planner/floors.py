@@ -14,7 +14,7 @@ from navigation.robot_path_planner.itinerary import Atlas
 from navigation.robot_path_planner.planner import PathPlanner, Status
 from navigation.robot_path_planner.settings import Settings
 from navigation.scan import Turn
-from navigation.status import State
+from navigation.status import Fault, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 
@@ -54,7 +54,7 @@ class Straight:
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
-        self.state, self.reason = State.IDLE, ""
+        self.state, self.reason, self.fault = State.IDLE, "", Fault.NONE
         self.sent: list[tuple[Pose, Constraints]] = []
         self.crates: list[tuple[float, float, float]] = []
         self.patience = 5.0

@@ -48,7 +48,7 @@ class Robot(Program):
         self.x, self.y, self.yaw = 1.0, 1.0, 0.0
         self.goal: Goal | None = None
         self.asked: list[tuple[float, float, Constraints]] = []
-        self.fails = ""
+        self.fails, self.code = "", Fault.BLOCKED
         self.speed = 3.0
         self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
         self.node.action_server("/planner/robot_goto/navigate_to_pose", ACTION, self._take, self._cancel)
@@ -62,7 +62,7 @@ class Robot(Program):
         self.asked.append((pose["x"], pose["y"], Constraints.from_text(goal.goal["behavior_tree"])))
         goal.execute()
         if self.fails:
-            goal.abort({"error_code": 9008, "error_msg": self.fails})
+            goal.abort({"error_code": int(self.code), "error_msg": self.fails})
         return True
 
     def _cancel(self, goal: Goal) -> bool:
@@ -299,12 +299,22 @@ def test_yarp_asks_clicks_and_sees(place: Planning) -> None:
 
 
 def test_a_navigator_that_fails_is_said(place: Planning) -> None:
-    place.robot.fails = "the laser is silent"
+    place.robot.fails = "somebody is too near"
     sent = place.robot.send(4.0, 1.0)
     until(lambda: place.module.planner.recoveries, "it tries again", 30)
-    assert "the laser is silent" in place.module.planner.status.reason
+    assert "somebody is too near" in place.module.planner.status.reason
     place.robot.fails = ""
     assert sent.end()[0] is Status.SUCCEEDED
+
+
+def test_a_navigator_that_sees_nothing_ends_the_goal(place: Planning) -> None:
+    place.robot.fails, place.robot.code = "the laser is silent", Fault.NO_LASER
+    try:
+        sent = place.robot.send(1.5, 1.0)
+        assert sent.end() == (Status.ABORTED, {"error_code": Fault.NO_LASER, "error_msg": "the laser is silent"})
+    finally:
+        place.robot.fails, place.robot.code = "", Fault.BLOCKED
+    assert len(place.robot.asked) == 1
 
 
 def test_the_map_comes_by_a_topic_and_the_laser_shows_what_it_lacks(tmp_path: Path) -> None:

@@ -187,6 +187,44 @@ def test_without_a_laser_it_tries_five_times_and_says_what_its_navigator_said() 
     assert status.reason == "the obstacle did not go away; given up after 5 further attempts"
 
 
+@pytest.mark.parametrize("fault", [Fault.NO_LASER, Fault.NOT_LOCALIZED, Fault.BASE_STANDS])
+def test_what_would_be_so_on_any_way_is_waited_for_and_then_ends_the_goal(fault: Fault) -> None:
+    """By who drives, in its own words and for as long as it wants; no other way is tried."""
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, 2.0)
+    drive.local.patience = math.inf
+    drive.local.crates, drive.local.fault = [(*drive.local.sent[-1][0][:2], 9.0)], fault
+    drive.run(30.0)
+    assert drive.planner.status == (State.WAITING, "obstacles are detected", fault)
+    drive.local.patience, sent = 5.0, len(drive.local.sent)
+    status = drive.run(1.0)
+    assert status == (State.ABORTED, "the obstacle did not go away", fault)
+    assert len(drive.local.sent) == sent
+
+
+def test_who_waits_for_its_laser_drives_on_when_it_is_back() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, 2.0)
+    drive.local.crates, drive.local.fault = [(*drive.local.sent[-1][0][:2], 9.0)], Fault.NO_LASER
+    drive.local.patience = math.inf
+    drive.run(20.0)
+    assert drive.planner.status.state is State.WAITING
+    drive.local.crates, drive.local.fault = [], Fault.NONE
+    assert drive.run(60.0) == (State.REACHED, "the goal is reached", Fault.NONE)
+
+
+def test_a_localisation_that_is_lost_for_want_of_a_laser_is_the_lasers_fault() -> None:
+    drive = Drive(floor(*ROOMS), WEST)
+    drive.goto(EAST, 2.0)
+    drive.lost = "the localisation says 'error'"
+    drive.run(0.5)
+    assert drive.planner.status.fault is Fault.NOT_LOCALIZED
+    drive.planner.blind = "the laser is silent"
+    drive.run(0.5)
+    assert drive.planner.status == (State.WAITING, "the laser is silent", Fault.NO_LASER)
+    assert drive.run(100.0) == (State.ABORTED, "the laser is silent", Fault.NO_LASER)
+
+
 def test_an_area_in_which_to_wait_is_not_gone_round() -> None:
     zone = Zone(area(1.5, 0.0, 3.5, 5.0), AreaBehaviour(on_obstacle="wait"))
     drive = Drive(floor(*ROOMS), WEST, zones=[zone])
