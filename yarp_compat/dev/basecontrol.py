@@ -14,18 +14,15 @@ from typing import Self
 
 from yarp_compat.dev.client import PATIENCE, ServiceClient
 from yarp_compat.dev.odometry import OdometryData
-from yarp_compat.dev.returnvalue import CallFailed, ReturnCode, ReturnValue
+from yarp_compat.dev.outcome import UNREACHED, called
+from yarp_compat.dev.returnvalue import CallFailed, ReturnValue
 from yarp_compat.dev.service import Service, rpc
-from yarp_compat.naming import connections
+from yarp_compat.dev.stream import Stream
 from yarp_compat.naming.naming import Naming
-from yarp_compat.os.stamp import Stamp
-from yarp_compat.pythonic import Reader, Received
 from yarp_compat.wire.errors import WireError
 
 DEFAULT_TIMEOUT = 0.1
 """Seconds for which a command holds where a caller does not say (`INavigation2DVelocityActions.h`)."""
-
-_UNREACHED = ReturnValue(ReturnCode.COMMUNICATION)
 
 
 class INavigation2DVelocityActionsMsgs(Service):
@@ -72,17 +69,14 @@ class MobileBaseVelocityControl(ServiceClient[INavigation2DVelocityActionsMsgs])
         self, x_vel: float, y_vel: float, theta_vel: float, timeout: float = DEFAULT_TIMEOUT
     ) -> ReturnValue:
         """Drive: m/s, m/s, deg/s, for so many seconds; false where that failed."""
-        try:
-            return self.remote.applyVelocityCommandRPC(x_vel, y_vel, theta_vel, timeout)
-        except (OSError, WireError):
-            return _UNREACHED
+        return called(self.remote.applyVelocityCommandRPC, x_vel, y_vel, theta_vel, timeout)
 
     def getLastVelocityCommand(self) -> tuple[ReturnValue, float, float, float]:
         """The outcome, and what was commanded last: m/s, m/s, deg/s."""
         try:
             return self.remote.getLastVelocityCommandRPC()
         except (OSError, WireError):
-            return _UNREACHED, 0.0, 0.0, 0.0
+            return UNREACHED, 0.0, 0.0, 0.0
 
     def drive(self, x: float, y: float, turn: float, seconds: float = DEFAULT_TIMEOUT) -> None:
         """Drive: m/s, m/s, deg/s.
@@ -111,8 +105,7 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
     ) -> None:
         mine = name.rstrip("/")
         super().__init__(IOdometry2DMsgs, f"{server}/rpc", mine and f"{mine}/rpc", timeout=timeout, naming=naming)
-        self._source = f"{server}/odometry:o"
-        self._reader = Reader(mine and f"{mine}/odometry:i", naming=naming)
+        self._stream = Stream(f"{server}/odometry:o", OdometryData, mine and f"{mine}/odometry:i", naming=naming)
         self._last: tuple[OdometryData, float] | None = None
 
     def open(self) -> Self:
@@ -124,8 +117,7 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
         """
         super().open()
         try:
-            self._reader.open()
-            connections.connect(self._reader.core.naming, self._source, self._reader.name)
+            self._stream.open()
         except BaseException:
             self.close()
             raise
@@ -133,32 +125,23 @@ class Odometry2DClient(ServiceClient[IOdometry2DMsgs]):
 
     def close(self) -> None:
         """Close both ports."""
-        self._reader.close()
+        self._stream.close()
         super().close()
 
     def read(self) -> tuple[OdometryData, float] | None:
         """Wait for the next odometry, and its time stamp in seconds; None once this is closed."""
-        received = self._reader.read()
-        return None if received is None else self._taken(received)
+        found = self._stream.read()
+        self._last = found or self._last
+        return found
 
     def getOdometry(self) -> tuple[ReturnValue, OdometryData, float]:
         """The outcome, the newest odometry, and its time stamp in seconds; false before any has come."""
-        received = self._reader.read_now()
         try:
-            found = self._last if received is None else self._taken(received)
+            self._last = self._stream.read_now() or self._last
         except WireError:
-            return _UNREACHED, OdometryData(), 0.0
-        return (_UNREACHED, OdometryData(), 0.0) if found is None else (ReturnValue(), *found)
+            return UNREACHED, OdometryData(), 0.0
+        return (UNREACHED, OdometryData(), 0.0) if self._last is None else (ReturnValue(), *self._last)
 
     def resetOdometry(self) -> ReturnValue:
         """Begin at zero from here; false where that failed."""
-        try:
-            return self.remote.reset_odometry_RPC()
-        except (OSError, WireError):
-            return _UNREACHED
-
-    def _taken(self, received: Received) -> tuple[OdometryData, float]:
-        stamp = Stamp()
-        stamp.from_text(received.envelope)
-        self._last = received.to(OdometryData), stamp.getTime()
-        return self._last
+        return called(self.remote.reset_odometry_RPC)
