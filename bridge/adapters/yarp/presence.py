@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 
 from bridge.adapters.base import Sighting
 from bridge.adapters.yarp.names import DAEMON, OWNER, PRESENCE
+from bridge.backoff import Backoff
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
 from yarp_compat.naming.client import NameClient
@@ -30,6 +31,8 @@ _log = logging.getLogger(__name__)
 
 _MAX_RECORD = 1 << 20
 _AGAIN = 2.0
+_AGAIN_LONGEST = 16.0
+"""Seconds to the next try of a worker that is not to be reached; who died leaves its name behind for ever."""
 
 
 class Presence:
@@ -60,7 +63,7 @@ class Presence:
         self._naming = naming
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
-        self._tried: dict[str, tuple[Contact, float]] = {}
+        self._tried: dict[str, tuple[Contact, Backoff, float]] = {}
         self._looked_since = 0.0
         self._core = PortCore(
             PRESENCE + own, naming=naming, on_message=self._on_message, on_event=self._on_event, host=ip
@@ -87,10 +90,12 @@ class Presence:
         out = {route.target for route in self._core.outputs()}
         now = time.monotonic()
         for name, contact in others.items():
-            known, again = self._tried.get(name, (None, 0.0))
+            known, pauses, again = self._tried.get(name, (None, None, 0.0))
             if name in out or (known == contact and now < again):
                 continue
-            self._tried[name] = contact, now + _AGAIN
+            if pauses is None or known != contact:
+                pauses = Backoff(_AGAIN, _AGAIN_LONGEST)
+            self._tried[name] = contact, pauses, now + pauses.pause(0.0)
             if self._core.add_output(name)[0]:
                 self._see(name, None)
         self._tried = {name: tried for name, tried in self._tried.items() if name in others}
@@ -124,6 +129,8 @@ class Presence:
             return
         if event.up:
             self._see(other, None)
+            if event.incoming:
+                self._tried.pop(other, None)
             self._wake()  # to connect the other way too
             return
         linked = {r.source for r in self._core.inputs()} | {r.target for r in self._core.outputs()}
