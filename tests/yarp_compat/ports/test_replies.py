@@ -1,0 +1,141 @@
+"""Replies of ports: that each request has one, when it comes, and when none does."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.ports.conftest import MakePort
+from tests.yarp_compat.ports.test_port import HELLO
+from yarp_compat.ports.message import Message
+from yarp_compat.wire.binary import decode, encode
+from yarp_compat.wire.profile import Profile
+
+REPLYING = ["tcp", "fast_tcp", "text_ack", "local"]
+
+
+@pytest.mark.parametrize("carrier", REPLYING)
+def test_reply(make_port: MakePort, carrier: str) -> None:
+    make_port("/server", lambda m: m.reply(encode(["got", *decode(m.payload)], Profile.YARP3)), rpc=True)
+    client = make_port("/client", rpc=True)
+    client.add_output(f"{carrier}://server")
+    for _ in range(3):
+        assert decode(client.request(HELLO, timeout=10)) == ["got", "hello", 42, 3.5]
+
+
+@pytest.mark.parametrize("carrier", REPLYING)
+def test_a_request_always_gets_a_reply(make_port: MakePort, carrier: str) -> None:
+    """From owners that give none, that fail, and that are not there."""
+
+    def fail(_: Message) -> None:
+        raise ValueError
+
+    client = make_port("/client")
+    for name, owner in (("/silent", lambda _: None), ("/failing", fail), ("/nobody", None)):
+        port = make_port(name, owner)
+        client.add_output(f"{carrier}:/{name}")
+        assert decode(client.request(HELLO, timeout=10)) == []
+        client.remove_output(name)
+        if name != "/silent":
+            assert port.counters.dropped.total() == 1
+
+
+def test_reply_from_another_thread(make_port: MakePort) -> None:
+    waiting: list[Message] = []
+
+    def take(message: Message) -> None:
+        message.later()
+        waiting.append(message)
+
+    make_port("/server", take)
+    client = make_port("/client")
+    client.add_output("/server")
+    got: list[bytes] = []
+    thread = threading.Thread(target=lambda: got.append(client.request(HELLO, timeout=10)))
+    thread.start()
+    until(lambda: waiting, "the request")
+    assert not got
+    waiting[0].reply([HELLO[:5], HELLO[5:]])
+    thread.join(10)
+    assert got == [HELLO]
+
+
+def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort) -> None:
+    server = make_port("/server", Message.later)
+    client = make_port("/client")
+    client.add_output("/server")
+    failed: list[Exception] = []
+
+    def ask() -> None:
+        try:
+            client.request(HELLO, timeout=20)
+        except ConnectionError as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    until(lambda: server.counters.received, "the request")
+    server.close()
+    thread.join(10)
+    assert failed
+
+
+def test_no_reply_in_time_ends_the_connection(make_port: MakePort) -> None:
+    """The reply may still come, and must not be taken for the next one's."""
+    make_port("/server", Message.later)
+    client = make_port("/client")
+    client.add_output("/server")
+    with pytest.raises(TimeoutError, match="/server"):
+        client.request(HELLO, timeout=0.3)
+    assert client.outputs() == []
+    with pytest.raises(ConnectionError, match="not connected"):
+        client.request(HELLO, timeout=0.3)
+
+
+def test_udp_carries_no_replies(make_port: MakePort) -> None:
+    make_port("/server")
+    client = make_port("/client")
+    client.add_output("udp://server")
+    with pytest.raises(ConnectionError, match="tcp"):
+        client.request(HELLO, timeout=5)
+
+
+def test_a_port_that_closes_still_sends_the_reply_that_its_owner_is_at(make_port: MakePort) -> None:
+    """As when a module is told to quit, and closes its ports while it says goodbye."""
+    ends: list[threading.Thread] = []
+
+    def take(message: Message) -> None:
+        ends.append(threading.Thread(target=server.close))
+        ends[0].start()
+        until(lambda: not server.is_open, "the port is closing")
+        message.reply(HELLO)
+
+    server, client = make_port("/server", take), make_port("/client")
+    client.add_output("/server")
+    assert client.request(HELLO, timeout=10) == HELLO
+    ends[0].join(10)
+    assert not ends[0].is_alive()
+
+
+def test_a_port_that_closes_still_sends_the_reply_that_another_thread_gave(make_port: MakePort) -> None:
+    """As when a program answers the last request and closes."""
+    for _ in range(50):
+        waiting: list[Message] = []
+
+        def take(message: Message, waiting: list[Message] = waiting) -> None:
+            message.later()
+            waiting.append(message)
+
+        server, client = make_port("/server", take), make_port("/client")
+        client.add_output("/server")
+        got: list[bytes] = []
+        thread = threading.Thread(target=lambda c=client, g=got: g.append(c.request(HELLO, timeout=10)))
+        thread.start()
+        until(lambda w=waiting: w, "the request")
+        waiting[0].reply(HELLO)
+        server.close()
+        thread.join(10)
+        assert got == [HELLO]
+        client.close()
