@@ -20,6 +20,7 @@ from bridge.worker import Health
 from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.connected import Connected
 from navigation.constraints import Constraints
+from navigation.current_goal import CurrentGoal, duration, result
 from navigation.frames import Frames, FramesError
 from navigation.goals import goal_of
 from navigation.maps.grid import from_grid
@@ -32,7 +33,7 @@ from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.settings import settings_of
 from navigation.robot_goto.told import PREFIX, Told, local_map
 from navigation.scan import SCAN, ScanError, of_ros, of_yarp
-from navigation.status import NO_GOAL, Fault, State
+from navigation.status import Fault, State
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
@@ -58,7 +59,7 @@ class RobotGoto(Module):
             host.log.warning("%s", note)
         self._section = section
         self.driver = Driver(self._settings)
-        self._goal: Goal | None = None
+        self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
         self._localized, self._laser_trouble = "", ""
         self._lost = ""
@@ -68,9 +69,9 @@ class RobotGoto(Module):
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._scanned, Qos(depth=1))
         host.node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
-        self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel)
+        self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._goal.cancel)
         Clients(host, self._server, lambda: self._give_up(GONE))
-        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
+        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
         host.answer("halt", lambda _params: host.loop.call(self.halt))
         self._offer(host, section)
         host.on_jump(self._forget)
@@ -149,32 +150,26 @@ class RobotGoto(Module):
 
     def drive(self, pose: Pose, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         """Drive there, instead of where it is driving."""
-        self._finish_before()
         self.driver.goal(pose, constraints)
-        self._goal, self._began = goal, self.now()
-        if goal is not None:
-            goal.execute()
+        self._goal.replace(goal)
+        self._began = self.now()
         self._tell(None)
 
     def approach(self, direction: float, speed: float, seconds: float) -> None:
         """Move by the laser alone: radians, m/s."""
-        self._finish_before()
+        self._goal.replace(None)
         self.driver.approach(direction, speed, seconds)
 
     def stop_driving(self, reason: str) -> None:
         """Give the goal up, and stand still at once."""
         self.driver.cancel()
         self._told.stand_still()
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.canceled(_result(Fault.NONE, reason))
+        self._goal.end(State.IDLE, Fault.NONE, reason)
         self._tell(None)
 
     def _give_up(self, why: str) -> None:
         """Stand still although nobody cancelled the goal."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.abort(_result(Fault.NO_NAVIGATOR, why))
+        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, why)
         self.stop_driving(why)
 
     def halt(self) -> dict[str, Any]:
@@ -200,30 +195,14 @@ class RobotGoto(Module):
         try:
             place, wanted = goal_of(goal.goal, self._frames, lambda: ())
         except PlanError as err:
-            goal.abort(_result(err.fault, str(err)))
+            goal.abort(result(err.fault, str(err)))
             return True
         here = self.map_name()
         if place.map_name and here and place.map_name != here:
-            goal.abort(_result(Fault.BAD_GOAL, f"the robot is on the map {here}, not on {place.map_name}"))
+            goal.abort(result(Fault.BAD_GOAL, f"the robot is on the map {here}, not on {place.map_name}"))
             return True
         self.drive(place.pose, wanted, goal)
         return True
-
-    def _cancel(self, goal: Goal) -> bool:
-        if goal is not self._goal:
-            return False
-        self._host.loop.post(lambda: self._cancelled(goal))
-        return True
-
-    def _cancelled(self, goal: Goal) -> None:
-        if goal is self._goal:
-            self.stop_driving("cancelled")
-
-    def _finish_before(self) -> None:
-        """A goal whose place another takes."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.canceled(_result(Fault.OTHER, "another goal took its place"))
 
     # what happens
 
@@ -249,20 +228,12 @@ class RobotGoto(Module):
         return pose
 
     def _tell(self, pose: Pose | None) -> None:
-        self._told.status(self.now(), self.driver, self._goal.id if self._goal else NO_GOAL)
-        goal, status = self._goal, self.driver.status
-        if goal is None:
-            return
-        if not status.ended:
+        self._told.status(self.now(), self.driver, self._goal.id)
+        goal, status = self._goal.goal, self.driver.status
+        if status.ended:
+            self._goal.end(status.state, status.fault, status.reason)
+        elif goal is not None:
             self._feed(goal, pose)
-            return
-        self._goal = None
-        if status.state is State.REACHED:
-            goal.succeed(_result(Fault.NONE, ""))
-        elif status.state is State.IDLE:
-            goal.canceled(_result(Fault.NONE, status.reason or "stopped"))
-        else:
-            goal.abort(_result(status.fault, status.reason))
 
     def _feed(self, goal: Goal, pose: Pose | None) -> None:
         """Feedback for the goal's client."""
@@ -274,8 +245,8 @@ class RobotGoto(Module):
         header = {"stamp": self._host.clock.stamp(), "frame_id": self._section.frame}
         goal.feedback({
             "current_pose": {"header": header, "pose": pose_message(pose)},
-            "navigation_time": _duration(now - self._began),
-            "estimated_time_remaining": _duration(left / self.driver.settings.max_lin_speed),
+            "navigation_time": duration(now - self._began),
+            "estimated_time_remaining": duration(left / self.driver.settings.max_lin_speed),
             "distance_remaining": left,
         })  # fmt: skip
 
@@ -311,12 +282,3 @@ class RobotGoto(Module):
         self._give_up("RobotGoto is stopped")
         if self._connected is not None:
             self._connected.close()
-
-
-def _result(fault: Fault, reason: str) -> dict[str, Any]:
-    return {"error_code": int(fault), "error_msg": reason}
-
-
-def _duration(seconds: float) -> dict[str, int]:
-    whole = min(max(seconds, 0.0), 2e9)
-    return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}

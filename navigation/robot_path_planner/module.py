@@ -21,6 +21,7 @@ from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
 from bridge.worker import Health
 from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.constraints import Constraints
+from navigation.current_goal import CurrentGoal, duration, result
 from navigation.frames import Frames, FramesError
 from navigation.goals import Place, goal_of
 from navigation.maps.grid import from_grid
@@ -39,7 +40,7 @@ from navigation.robot_path_planner.told import PREFIX, Told
 from navigation.robot_path_planner.words import PlannerServer
 from navigation.robot_path_planner.yarp_navigator import YarpNavigator
 from navigation.scan import SCAN
-from navigation.status import NO_GOAL, Fault, State
+from navigation.status import Fault, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
@@ -66,7 +67,7 @@ class RobotPathPlanner(Module):
         for note in self._notes:
             host.log.warning("%s", note)
         self._section = section
-        self._goal: Goal | None = None
+        self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._length = 0.0, 0.0
         self._fed = float("-inf")
         self._localized, self._trouble = "", ""
@@ -109,10 +110,10 @@ class RobotPathPlanner(Module):
     def _offer(self) -> None:
         host, prefix = self._host, self._section.prefix
         self._server = host.node.action_server(
-            f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._cancel, brake=self._brake
+            f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._goal.cancel, brake=self._brake
         )
         Clients(host, self._server, lambda: self._give_up(GONE))
-        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal else None)
+        FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
         if prefix:
@@ -137,13 +138,10 @@ class RobotPathPlanner(Module):
 
     def drive(self, *places: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
         """Drive to places, one after the other, instead of where it is driving."""
-        self._finish_before()
-        self._goal = goal
+        self._goal.replace(goal)
         place, *further = places
         self.planner.goal(place.pose, place.map_name, constraints, now=self.now(), then=further)
         self._began, self._length = self.now(), 0.0
-        if goal is not None:
-            goal.execute()
         self._tell()
 
     def stop_driving(self, reason: str) -> None:
@@ -160,7 +158,7 @@ class RobotPathPlanner(Module):
 
     def _brake(self, goal_id: bytes) -> None:
         """On a thread of the hub, which must not wait."""
-        task, goal = self.planner.task, self._goal  # in this order: a task that has been replaced does not matter
+        task, goal = self.planner.task, self._goal.goal  # in this order: a task that has been replaced does not matter
         if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
             self.planner.brake(task)
             self._errands.send(self._local.brake)
@@ -199,13 +197,8 @@ class RobotPathPlanner(Module):
 
     def _give_up(self, why: str) -> None:
         """Stand still although nobody cancelled the goal."""
-        self._abort(why)
+        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, why)
         self.stop_driving(why)
-
-    def _abort(self, why: str) -> None:
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.abort(_result(Fault.NO_NAVIGATOR, why))
 
     # the hub's action
 
@@ -213,26 +206,10 @@ class RobotPathPlanner(Module):
         try:
             place, wanted = goal_of(goal.goal, self._frames, lambda: self._host.store.names(MAP))
         except PlanError as err:
-            goal.abort(_result(err.fault, str(err)))
+            goal.abort(result(err.fault, str(err)))
             return True
         self.drive(place, constraints=wanted, goal=goal)
         return True
-
-    def _cancel(self, goal: Goal) -> bool:
-        if goal is not self._goal:
-            return False
-        self._host.loop.post(lambda: self._cancelled(goal))
-        return True
-
-    def _cancelled(self, goal: Goal) -> None:
-        if goal is self._goal:
-            self.stop_driving("cancelled")
-
-    def _finish_before(self) -> None:
-        """A goal whose place another takes."""
-        goal, self._goal = self._goal, None
-        if goal is not None:
-            goal.canceled(_result(Fault.OTHER, "another goal took its place"))
 
     def _clicked(self, received: Received) -> None:
         """On the thread of the connection."""
@@ -261,35 +238,27 @@ class RobotPathPlanner(Module):
 
     def _tell(self) -> None:
         status = self.planner.status
-        self._told.tell(self.now(), self.planner, self._goal.id if self._goal else NO_GOAL)
-        goal = self._goal
-        if goal is None or self.planner.active:
-            return
-        self._goal = None
-        if status.state is State.REACHED:
-            goal.succeed(_result(Fault.NONE, ""))
-        elif status.state is State.IDLE:
-            goal.canceled(_result(Fault.NONE, status.reason))
-        else:
-            goal.abort(_result(status.fault, status.reason))
+        self._told.tell(self.now(), self.planner, self._goal.id)
+        if not self.planner.active:
+            self._goal.end(status.state, status.fault, status.reason)
 
     def _feed(self, pose: Pose | None) -> None:
         """Feedback for the goal's client."""
-        now = self.now()
-        if self._goal is None or pose is None or 0 <= now - self._fed < _FEEDBACK:
+        now, goal = self.now(), self._goal.goal
+        if goal is None or pose is None or 0 <= now - self._fed < _FEEDBACK:
             return
         self._fed = now
         left, passed = self.planner.remaining(pose), max(now - self._began, 0.0)
         self._length = max(self._length, left)
         driven = self._length - left
         speed = driven / passed if driven > 1.0 and passed > 0.0 else _SPEED
-        self._goal.feedback({
+        goal.feedback({
             "current_pose": {
                 "header": {"stamp": self._host.clock.stamp(), "frame_id": self._section.frame},
                 "pose": pose_message(pose),
             },
-            "navigation_time": _duration(passed),
-            "estimated_time_remaining": _duration(left / max(speed, 0.01)),
+            "navigation_time": duration(passed),
+            "estimated_time_remaining": duration(left / max(speed, 0.01)),
             "number_of_recoveries": self.planner.recoveries,
             "distance_remaining": left,
         })  # fmt: skip
@@ -366,17 +335,8 @@ class RobotPathPlanner(Module):
 
     def stop(self) -> None:
         """Have the robot stand still, and hear no more."""
-        self._abort("the planner is stopped")
+        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, "the planner is stopped")
         self.planner.cancel("the planner is stopped")
         self._step()
         for close in self._closing:
             close()
-
-
-def _result(fault: Fault, reason: str) -> dict[str, Any]:
-    return {"error_code": int(fault), "error_msg": reason}
-
-
-def _duration(seconds: float) -> dict[str, int]:
-    whole = min(seconds, 2e9)
-    return {"sec": int(whole), "nanosec": int(whole % 1 * 1e9)}
