@@ -27,14 +27,12 @@ class Walker:
     def __init__(self, person: Person) -> None:
         self.person = person
         self.x, self.y = person.at
-        self._way: deque[Point] = deque(person.path)
-        self._loop = person.loop
-        self._waited = self._rest = 0.0
-        self._gives_way = False
+        self.send(person.path, loop=person.loop)
 
     def send(self, path: Iterable[Point], *, loop: bool = False) -> None:
-        """Have the person walk to these points, one after the other."""
+        """Have the person walk to these points, one after the other, at once."""
         self._way, self._loop = deque(path), loop
+        self._waited, self._rest, self._gives_way = 0.0, 0.0, False
 
     def piece(self) -> Piece:
         """The person as a solid."""

@@ -14,6 +14,7 @@ from sim import files, pieces, plans
 from sim.base import Pose
 from sim.errors import SimError
 from sim.grid import rectangles
+from sim.people import Walker
 from sim.plan import Box, Floor, Person
 from sim.simulation import Simulation
 from tests.sim.floors import INSIDE, drive, simulation
@@ -81,6 +82,21 @@ def test_people_walk_and_wait_for_the_robot() -> None:
     drive(there, 5, 0.3)
     assert there.base.pose().y < 1.5 - 0.2 - 0.2  # a person is not driven through
     assert (person.x, person.y) == (-1.5, 1.5)
+
+
+def test_who_waited_for_long_turns_round_and_rests_and_goes_at_once_where_he_is_sent() -> None:
+    walker = Walker(Person(name="p", at=(0.0, 0.0), path=((1.0, 0.0), (-1.0, 0.0)), speed=1.0))
+
+    def walk(seconds: float) -> float:
+        for _ in range(round(seconds / 0.1)):
+            walker.walk(0.1, (0.9, 0.0), 0.3)
+        return walker.x
+
+    assert 0.0 < walk(4.0) < 0.6
+    assert walk(3.5) == -1.0
+    assert walk(10.0) == -1.0
+    walker.send([(0.0, 0.0)])
+    assert walk(2.0) == 0.0
 
 
 def test_things_come_and_go() -> None:
