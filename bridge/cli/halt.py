@@ -35,7 +35,8 @@ def register(subparsers: Any) -> None:
         "halt",
         help="zero velocity on every side, and all goals cancelled",
         description="Publishes zero on every topic of velocities that is on the hub (which crosses to every side as"
-        " the rules say), has each BaseControl forget its commands, and cancels every goal of every action. Whoever"
+        " the rules say), has each BaseControl forget its commands, and the gateway and Midspan's planners their goals,"
+        " and cancels every goal of every action. Whoever"
         " commands on after that is obeyed again: it is no emergency stop. Exit code 1 where something did not answer.",
         epilog="Example: midspan halt",
     )

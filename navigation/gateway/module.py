@@ -51,6 +51,7 @@ class GatewayModule(Module):
         self._answers = Navigation2DServer(Device(host, self.gateway, places, self._commander))
         for door in section.doors.yarp:
             host.yarp.serve(f"{door}/rpc", self._answers)
+        host.answer("halt", lambda _params: host.loop.call(self.halt))
         self._tell(self.gateway.status())
         host.loop.every(_AGAIN_SECONDS, self._say)
 
@@ -63,6 +64,12 @@ class GatewayModule(Module):
         self._section = section
         self.gateway.configure(section)
         return True
+
+    def halt(self) -> dict[str, Any]:
+        """Give up every goal, whoever gave it, one that is paused too: it would go on by itself."""
+        self._commander.stop()
+        self.gateway.stop()
+        return {"halted": True}
 
     def _goal_pose(self, message: dict[str, Any]) -> None:
         try:

@@ -131,6 +131,18 @@ def test_a_suspension_ends_by_itself_and_a_path_is_found_anew(rig: Rig, yarp: IN
     assert not yarp.resume_navigation_RPC()
 
 
+def test_what_is_suspended_for_a_time_does_not_go_on_after_a_halt(rig: Rig, yarp: INavigation2DMsgs) -> None:
+    assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
+    goal = rig.planner.until(1)
+    assert yarp.suspend_navigation_RPC(60.0)
+    until(lambda: not goal.active, "the planner stopped", 20)
+    rig.state(State.PAUSED)
+    assert [answer.value for answer in rig.far.hub.ask("halt", {}, worker="gateway")] == [{"halted": True}]
+    rig.state(State.IDLE, "it was stopped")
+    assert rig.gateway._pause is None
+    assert not yarp.resume_navigation_RPC()
+
+
 def test_another_clients_goal_is_seen_and_can_be_stopped(rig: Rig, yarp: INavigation2DMsgs) -> None:
     asked = Asked(rig.client, pose(4.0))
     rig.planner.until(1)
