@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from navigation.robot_goto.local_grid import AT_BASE, LocalGrid, Scan
 from navigation.robot_goto.settings import Settings
 from navigation.robot_goto.stall import Stall
 from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
+from navigation.robot_goto.task import Task
 from navigation.status import Fault, State
 
 COAST = 0.3
@@ -34,34 +34,9 @@ RAMP = 2.0
 RETREAT_SPEED = 0.2
 MAX_RETREAT = 2.0
 _PROGRESS, _TURN_PROGRESS = 0.05, math.radians(2.0)
-_JUMP = 0.3
+_JUMP, _JUMP_TURN = 0.3, math.radians(30.0)
 _DOES_NOT_FOLLOW = "the base does not follow its commands: an emergency stop, or odometry that is frozen?"
 _LOOK, _LOOKS, _LOOK_AGAIN = 0.5 * math.pi, 2, 0.3
-
-
-@dataclass
-class Task:
-    """A goal under way.
-
-    Attributes:
-        pose: on the map; theta is NaN where any heading will do.
-        asked: its constraints.
-        near: whether it is there, but for the heading.
-        best: the least that was left of the way, metres; ``best_turn`` of the heading, radians.
-        progress_at: when that was, seconds; None before the first step.
-    """
-
-    pose: Pose
-    asked: Constraints
-    near: bool = False
-    best: float = math.inf
-    best_turn: float = math.inf
-    progress_at: float | None = None
-
-    @property
-    def heading(self) -> bool:
-        """Whether its heading matters."""
-        return self.asked.heading and not self.asked.through and math.isfinite(self.pose.theta)
 
 
 class Driver:
@@ -234,7 +209,7 @@ class Driver:
             self._guard.measure(self.settings, now, moved)
         moved = moved or pose
         if moved is not None:
-            if self._moved is not None and self._moved.distance(moved) > _JUMP + 2.0 * passed:
+            if self._moved is not None and _jumped(self._moved, moved, passed):
                 self.grid.clear()
                 self._guard.forget()
                 self._stall.clear()
@@ -440,3 +415,9 @@ class Driver:
             self._looks += 1
         self._look_left -= abs(self._guard.has[2]) * self._passed
         return Command(omega=self._look_way * self.settings.max_ang_speed)
+
+
+def _jumped(before: Pose, moved: Pose, passed: float) -> bool:
+    """Whether odometry has begun anew: no base is as fast."""
+    turned = abs(wrapped(moved.theta - before.theta))
+    return before.distance(moved) > _JUMP + 2.0 * passed or turned > _JUMP_TURN + math.tau * passed

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +16,11 @@ import numpy as np
 from navigation.constraints import Constraints
 from navigation.goals import Place
 from navigation.plan_error import PlanError
-from navigation.pose import Pose, wrapped
+from navigation.pose import Pose
 from navigation.robot_path_planner.clutter import Clutter
 from navigation.robot_path_planner.ground import Ground
 from navigation.robot_path_planner.itinerary import Atlas, Leg, NoAtlas, leg
+from navigation.robot_path_planner.jumps import Jumps
 from navigation.robot_path_planner.lines import Places, blocked, cut, is_straight, length
 from navigation.robot_path_planner.local import LocalNavigator
 from navigation.robot_path_planner.settings import Settings
@@ -40,7 +41,6 @@ _BEGIN = 5.0
 """Seconds after which a goal is given up where it was never known where the robot is, or nobody ever drove it."""
 _NEARER = 0.5
 """Metres that the robot has to come nearer for its attempts to be counted anew."""
-_TURNED = math.radians(30.0)
 _PATIENCE_PER_METRE, _LONGEST_PATIENCE = 2.0, 20.0
 """Seconds that the way is waited for to become free again, for each metre by which another one is longer."""
 _DETOUR = 3.0
@@ -55,14 +55,6 @@ class Status(NamedTuple):
     state: State
     reason: str = ""
     fault: Fault = Fault.NONE
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """When the robot was where."""
-
-    at: float
-    pose: Pose
 
 
 class PathPlanner:
@@ -87,7 +79,7 @@ class PathPlanner:
         self._halting = False
         self._braked: Task | None = None
         self._paused_until = -math.inf
-        self._seen: _Seen | None = None
+        self._jumps = Jumps()
         self._watched = -math.inf
         self.status = Status(State.IDLE)
         self.blind = ""
@@ -250,7 +242,7 @@ class PathPlanner:
         return self.status
 
     def _go(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
-        jump = self._jump(now, pose)
+        jump = self._jumps.add(now, pose, self.settings.jump)
         if jump and not task.due:
             task.due = jump
         if jump and self._ground is not None:
@@ -266,17 +258,6 @@ class PathPlanner:
             self._wait_for_map(task, now)
         else:
             self._drive(task, now, pose, local)
-
-    def _jump(self, now: float, pose: Pose) -> str:
-        """What is to be said where localisation has moved the robot further than it can have driven."""
-        seen, self._seen = self._seen, _Seen(now, pose)
-        if seen is None or not 0 <= now - seen.at < 1.0:
-            return ""
-        moved, turned = pose.distance(seen.pose), abs(wrapped(pose.theta - seen.pose.theta))
-        passed = now - seen.at
-        if moved > self.settings.jump + passed or turned > _TURNED + math.pi * passed:
-            return f"localisation moved the robot by {moved:.2f} m and {math.degrees(turned):.0f} degrees at once"
-        return ""
 
     def _plan(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
         """Find a way and set out on it; where the laser closes all, stand and wait."""
@@ -322,7 +303,7 @@ class PathPlanner:
         task.waypoints, task.at, task.note = found.waypoints, 0, found.note
         task.arrived = task.closed_since = None
         self._watched = now
-        if _is_there(pose, task.waypoint) and task.last:
+        if task.last and task.waypoint.is_there(pose):
             if not local.state.ended:  # it drives to where the robot was sent before
                 local.cancel()
             self._arrive(task, now, local)
@@ -338,7 +319,7 @@ class PathPlanner:
     def _drive(self, task: Task, now: float, pose: Pose, local: LocalNavigator) -> None:
         state = local.state
         task.driven = task.driven or state is not State.ERROR
-        if state is State.REACHED or (not task.last and _is_passed(pose, task.waypoint)):
+        if state is State.REACHED or (not task.last and task.waypoint.is_passed(pose)):
             if task.last:
                 self._arrive(task, now, local)
             else:
@@ -493,22 +474,11 @@ class PathPlanner:
     def _line(self, task: Task) -> Places:
         """(n, 2) the waypoints that are left, and the robot where that is known."""
         line = [(each.pose.x, each.pose.y) for each in task.waypoints[task.at :]]
-        if self._seen is not None:
-            line.insert(0, (self._seen.pose.x, self._seen.pose.y))
+        if self._jumps.pose is not None:
+            line.insert(0, self._jumps.pose[:2])
         return np.array(line)
 
 
 def _to(task: Task) -> str:
     assert task.leg is not None
     return f"to become {task.leg.onto.map_name}" if task.leg.onto else "to stay"
-
-
-def _is_passed(pose: Pose, waypoint: Waypoint) -> bool:
-    return pose.distance(waypoint.pose) <= (waypoint.constraints.tolerance_lin or 0.1)
-
-
-def _is_there(pose: Pose, waypoint: Waypoint) -> bool:
-    """Whether the robot stands at a goal, heading as it should."""
-    near, turn = waypoint.constraints.tolerance_lin or 0.0, math.radians(waypoint.constraints.tolerance_ang or 0.0)
-    turned = not waypoint.constraints.heading or abs(wrapped(pose.theta - waypoint.pose.theta)) <= turn
-    return pose.distance(waypoint.pose) <= near and turned

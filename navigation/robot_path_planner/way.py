@@ -12,7 +12,7 @@ from navigation.algorithms.astar import Cells, Weights, astar
 from navigation.algorithms.shortcut import sees, shortcut
 from navigation.constraints import Constraints
 from navigation.plan_error import PlanError
-from navigation.pose import Pose
+from navigation.pose import Pose, wrapped
 from navigation.robot_path_planner.escape import escape
 from navigation.robot_path_planner.ground import Cell, Ground
 from navigation.robot_path_planner.lines import Places, length, sampled
@@ -34,6 +34,16 @@ class Waypoint:
     pose: Pose
     constraints: Constraints
     waits: bool = False
+
+    def is_passed(self, pose: Pose) -> bool:
+        """Whether a robot is so near that the next one may be sent."""
+        return pose.distance(self.pose) <= (self.constraints.tolerance_lin or 0.1)
+
+    def is_there(self, pose: Pose) -> bool:
+        """Whether a robot stands at it, heading as it should."""
+        near, turn = self.constraints.tolerance_lin or 0.0, math.radians(self.constraints.tolerance_ang or 0.0)
+        turned = not self.constraints.heading or abs(wrapped(pose.theta - self.pose.theta)) <= turn
+        return pose.distance(self.pose) <= near and turned
 
 
 @dataclass(frozen=True, eq=False)

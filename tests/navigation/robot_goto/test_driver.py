@@ -8,7 +8,8 @@ import pytest
 
 from navigation.constraints import Constraints
 from navigation.pose import Pose
-from navigation.robot_goto.driver import MAX_RETREAT
+from navigation.robot_goto.driver import MAX_RETREAT, Driver
+from navigation.scan import Turn
 from navigation.status import Fault, State
 from sim.plan import Box, Person
 from tests.navigation.robot_goto.scene import Scene
@@ -290,6 +291,18 @@ def test_what_was_seen_is_remembered_beside_it():
     scene.run(6.0)
     assert not scene.touched
     assert 0.1 < scene.pose.y < 0.9 - 0.2 - 0.4, "up to the box, by what it saw before"
+
+
+@pytest.mark.parametrize("begun", [Pose(0.4, 0.0, 0.0), Pose(0.0, 0.0, 1.0)])
+def test_what_was_seen_is_forgotten_where_odometry_begins_anew(begun):
+    driver, here = Driver(), Pose(0.0, 0.0, 0.0)
+    driver.scan(Turn(1_000_000_000, -math.pi, math.tau / 90, 0.1, 20.0, np.full(90, 1.0)), here)
+    driver.step(1.0, here, here)
+    driver.step(1.05, here, Pose(0.1, 0.0, 0.1))
+    assert driver.grid.scanned == 1.0
+    driver.step(1.05, here, Pose(0.0, 0.0, 0.0))
+    driver.step(1.05, here, begun)
+    assert driver.grid.scanned is None
 
 
 # moves without a goal
