@@ -21,6 +21,7 @@ from bridge.demo.place import Place
 from bridge.demo.program import Program
 from bridge.demo.scenario import DemoError
 from bridge.demo.traces import remove_unused, shared_memory, sweep
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
@@ -114,7 +115,11 @@ class Rooms:
                 self._until(place.master_answers, "roscore", course)
                 self._until(lambda: course.localized, "the robot and its localiser", course)
                 names = NameClient(Address("127.0.0.1", place.yarp_port))
-                self._until(lambda: all(map(names.query, _DOORS)), "the doors for YARP's clients", course)
+                self._until(
+                    lambda: all(connections.exists(names, door) for door in _DOORS),
+                    "the doors for YARP's clients",
+                    course,
+                )
                 yield course
         finally:
             self._stop()

@@ -23,6 +23,7 @@ from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.service_server import ServiceServer
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
@@ -41,7 +42,7 @@ class Examples:
         self.names = NameClient(self.address, namespace="/root")
         deployment.start(**self.sections(PLANNER))
         self.planner = deployment.keep(HubPlanner(deployment.settings(PLANNER), PLANNER))
-        until(lambda: all(map(self.names.query, _DOORS)), "YARP's doors are open", 40)
+        until(lambda: all(connections.exists(self.names, door) for door in _DOORS), "YARP's doors are open", 40)
         self._place()
         answers = Localization2DServer(self)
         self._localizer = ServiceServer("/localization2D_nws_yarp/rpc", answers, naming=self.names).open()

@@ -12,6 +12,7 @@ import yaml
 from tests.examples.deployment import EXAMPLES
 from tests.modules.place import Place
 from tests.support.wait import until
+from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client
 
@@ -44,7 +45,7 @@ def test_a_robot_goes_to_its_charger(place: Place) -> None:
         until(once, f"it says {text}", 20, 0.1)
 
     says(0.5, "50% left")
-    until(lambda: place.names.query("/charge/rpc"), "its port is registered", 20)
+    until(lambda: connections.exists(place.names, "/charge/rpc"), "its port is registered", 20)
     with Client("/charge/rpc", naming=place.names) as person:
         assert person.ask(["off"]) == ["ok"]
         says(0.1, "10% left; it is off")

@@ -25,6 +25,7 @@ from tests.support.ports import free_port
 from tests.support.rosbags_messages import Messages
 from tests.support.wait import until
 from tests.support.zenoh_programs import JsonProgram, Program, Ros1Bridge, Ros2ddsBridge, service_texts
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.pythonic import Client, Server
@@ -105,7 +106,7 @@ class YarpServices:
 
     def call(self, service: str, *, data: bool) -> dict[str, Any]:
         port = f"/midspan{service}/rpc"
-        until(lambda: self._names.query(port), f"{port} is there", SECONDS)
+        until(lambda: connections.exists(self._names, port), f"{port} is there", SECONDS)
         with Client(port, naming=self._names) as client:
             values = client.ask([data], timeout=SECONDS)
         return {"success": values[0] == 1, "message": values[1]}

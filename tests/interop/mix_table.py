@@ -33,6 +33,7 @@ from tests.support.ros2 import SHORT_LEASE, ros2_environment, ros2_python
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 
@@ -112,7 +113,7 @@ class Mix:
     def _clients(self) -> dict[str, Client]:
         names = NameClient(self._names, namespace="/root")
         ros1, ros2 = self.deployment.ros1("client1"), self.deployment.ros2("client2")
-        until(lambda: names.query("/navigationServer/rpc"), "the YARP door is open", SECONDS)
+        until(lambda: connections.exists(names, "/navigationServer/rpc"), "the YARP door is open", SECONDS)
         remote = ServiceClient(INavigation2DMsgs, "/navigationServer/rpc", naming=names, timeout=SECONDS)
         self.deployment.keep(_Closing(remote.open()))
         return {

@@ -65,7 +65,9 @@ class YarpProgram:
         self._writer = Writer("/square/command:o", naming=names).open()
         self._reader = Reader("/square/odometry:i", naming=names).open()
         connect = connections.connect
-        until(lambda: names.query("/baseControl/odometry/odometry:o"), "BaseControl's ports are there", 20)
+        until(
+            lambda: connections.exists(names, "/baseControl/odometry/odometry:o"), "BaseControl's ports are there", 20
+        )
         self._writer.connect("/baseControl/input/command/data:i")
         connect(names, "/baseControl/odometry/odometry:o", "/square/odometry:i")
         self._last = (-1, Pose(0.0, 0.0, 0.0))

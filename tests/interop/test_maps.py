@@ -13,6 +13,7 @@ from tests.support.ports import free_port
 from tests.support.wait import until
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.pythonic import Client
@@ -27,7 +28,7 @@ def test_every_side_hears_at_once_what_another_changed(deployment: Deployment) -
         modules={"map2d_server": {"enabled": True, "take": [{"topic": "/map", "name": "slam", "period": 0.0}]}},
     )
     names = NameClient(Address("127.0.0.1", number), namespace="/root")
-    until(lambda: names.query("/map2D_server/command"), "the map server's ports are registered", 30)
+    until(lambda: connections.exists(names, "/map2D_server/command"), "the map server's ports are registered", 30)
     with Map2DClient(naming=names, timeout=30) as maps, Client("/map2D_server/command", naming=names) as words:
 
         def current() -> str:

@@ -65,7 +65,7 @@ def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
     place.worker.start(place.config(echo()))
     until(lambda: "waiting" in str(place.status("echo")), "it tells that its ports wait")
     with NameServer(port=place.port, gc_seconds=0):
-        until(lambda: place.names.query("/echo/said:o"), "the port is registered", 20)
+        until(lambda: connections.exists(place.names, "/echo/said:o"), "the port is registered", 20)
         until(lambda: "waiting" not in str((place.status("echo") or {}).get("ports")), "all are open", 20)
         with Client("/echo/rpc", naming=place.names) as client:
             assert client.ask(["hello", 4], timeout=10) == ["said", "hello", 4]

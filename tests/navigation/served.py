@@ -17,6 +17,7 @@ from bridge.modules.loop import Loop
 from bridge.modules.node import Node
 from tests.modules.place import Place
 from tests.support.wait import until
+from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 
 ACTION, STATUS = "nav2_msgs/action/NavigateToPose", "midspan_msgs/NavigationStatus"
@@ -102,7 +103,7 @@ class Served(Place):
         return self.worker._running[self._name]._module
 
     def registered(self, port: str) -> str:
-        until(lambda: self.names.query(port), f"{port} is registered", 30)
+        until(lambda: connections.exists(self.names, port), f"{port} is registered", 30)
         return port
 
     def close(self) -> None:

@@ -27,7 +27,7 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
             names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
             section = {"beams": 8, "farthest": 15.0}
             place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section))
-            until(lambda: names.query("/cer/battery:o"), "the last port is there", 20)
+            until(lambda: connections.exists(names, "/cer/battery:o"), "the last port is there", 20)
             until(lambda: "waiting" not in str(place.status()["ports"]), "all are open", 20)
             streams(place, names)
             settings(names)

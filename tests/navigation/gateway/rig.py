@@ -19,6 +19,7 @@ from navigation.gateway.link import NAVIGATE
 from navigation.status import STATUS, State, status_message
 from tests.modules.place import Place
 from tests.support.wait import until
+from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 
 KEPT = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
@@ -131,8 +132,8 @@ class Rig(Place):
         self.statuses: list[dict[str, Any]] = []
         self.client.node.subscription("/navigation/status", STATUS, self.statuses.append, KEPT)
         self.planner = self.have("robot_goto")
-        until(lambda: self.names.query("/navigationServer/rpc"), "the ports are registered", 30)
-        until(lambda: self.names.query("/navigation2D_nws_yarp/rpc"), "the ports are registered", 30)
+        until(lambda: connections.exists(self.names, "/navigationServer/rpc"), "the ports are registered", 30)
+        until(lambda: connections.exists(self.names, "/navigation2D_nws_yarp/rpc"), "the ports are registered", 30)
 
     def configured(self, **changed: Any) -> Any:
         self.section = {**self.section, **changed}

@@ -28,6 +28,7 @@ from yarp_compat.dev.locations import Map2DArea, Map2DLocation, Map2DObject, Map
 from yarp_compat.dev.map2d_client import Map2DClient
 from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed
+from yarp_compat.naming import connections
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Client
 from yarp_compat.sig.vec2d import Vec2D
@@ -44,8 +45,8 @@ class Served(Place):
         self.yarp = NameServer(port=self.port, gc_seconds=0)
         self.yarp.open()
         self.worker.start(self.config(modules={"map2d_server": MINE}))
-        until(lambda: self.names.query("/mapServer/rpc"), "the ports are registered", 30)
-        until(lambda: self.names.query("/map2D_server/command"), "all ports are registered", 30)
+        until(lambda: connections.exists(self.names, "/mapServer/rpc"), "the ports are registered", 30)
+        until(lambda: connections.exists(self.names, "/map2D_server/command"), "all ports are registered", 30)
 
     @property
     def store(self) -> Store:

@@ -34,8 +34,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         section = {"enabled": True, "pose": "port", "laser": [0.5, 0.0, 90.0], "period": 0.1, "width": 8, "height": 8}
         section |= {"laser_port": "/robot/laser:o", "pose_port": "/robot/odometry:o"}
         made.worker.start(made.config(modules={"mapper2d": section}))
-        until(lambda: made.names.query("/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
-        until(lambda: made.names.query("/mapper2D/odometry:i"), "all ports are registered", 30)
+        until(lambda: connections.exists(made.names, "/mapper2D/yarpviewTarget:i"), "the ports are registered", 30)
+        until(lambda: connections.exists(made.names, "/mapper2D/odometry:i"), "all ports are registered", 30)
         yield made
         made.worker.stop()
         server.close()

@@ -15,6 +15,7 @@ from tests.modules.test_worker import Place
 from tests.support.wait import until
 from yarp_compat.dev.frametransform_client import TransformClient
 from yarp_compat.dev.frametree import TransformError, transform_of
+from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import NameServer
@@ -52,7 +53,7 @@ class Served(Place):
             "frameTransformGet_nws_yarp/tf:o",
         ):
             name = f"{options.get('server', '')}/frameTransformServer/{kind}"
-            until(lambda n=name: self.names.query(n), f"{name} is there", 20)
+            until(lambda n=name: connections.exists(self.names, n), f"{name} is there", 20)
         return self.client(**options)
 
     def say(self, parent: str, child: str, *, static: bool = False, stamp: float | None = None) -> None:
