@@ -115,7 +115,7 @@ def test_velocities_of_the_hub_drive_it_and_silence_stops_it(place: Place, wheel
     assert (transform["header"]["frame_id"], transform["child_frame_id"]) == ("odom", "base_link")
     until(lambda: "/joint_states" in str(place.status("base_control")), "status tells of it")
     place.worker.stop()
-    assert wheels.velocity == (0.0, 0.0)
+    until(lambda: wheels._told == [0.0, 0.0], "the last that the wheels hear is to stand still", 10)
 
 
 def test_nonsense_is_refused_and_told(place: Place, wheels: Wheels) -> None:
