@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -20,6 +21,7 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 WHO = "a YARP client"
+_LETTING_GO_SECONDS = 1.0
 T = TypeVar("T")
 
 
@@ -72,7 +74,11 @@ class Device:
         return self._do(lambda: self._gateway.state()[0].value)
 
     def stopNavigation(self) -> None:
+        """The answer waits until the planner has let go, so that the status is idle once the client has it."""
         self._do(self._stop)
+        until = time.monotonic() + _LETTING_GO_SECONDS
+        while self._do(lambda: self._gateway.driving) and time.monotonic() < until:
+            time.sleep(0.01)
 
     def suspendNavigation(self, time_s: float) -> None:
         self._do(lambda: self._gateway.pause(time_s))

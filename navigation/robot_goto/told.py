@@ -16,6 +16,7 @@ from navigation.robot_goto.driver import Driver
 from navigation.robot_goto.local_grid import RESOLUTION, SIDE
 from navigation.robot_goto.steering import INFLUENCE
 from navigation.status import NO_GOAL, STATUS, status_message
+from yarp_compat.os.stamp import Stamp
 
 PREFIX = "/planner/robot_goto"
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
@@ -46,6 +47,7 @@ class Told:
         self._map = node.publisher(f"{PREFIX}/local_map", "nav_msgs/msg/OccupancyGrid", _LATCHED, priority="state")
         names = ("control:o", "status:o", "speak:o", "gui:o") if prefix else ()
         self._ports = {name: host.yarp.output(f"{prefix}/{name}") for name in names}
+        self._stamp = Stamp()
         self._last: tuple[Status, bytes] | None = None
         self._said = self._mapped = -math.inf
         self._silent = True
@@ -57,7 +59,7 @@ class Told:
         self._silent = silent
         self._twist.publish({"linear": {"x": command.vx, "y": command.vy}, "angular": {"z": command.omega}})
         if self._ports:
-            self._ports["control:o"].write([_POLAR, *command.polar, _FULL_GAIN])
+            self._write("control:o", [_POLAR, *command.polar, _FULL_GAIN])
 
     def stand_still(self) -> None:
         """Command the base to stand still, whatever was commanded before."""
@@ -78,7 +80,7 @@ class Told:
             self._said = -math.inf
         if self._ports and not 0.0 <= now - self._said < _SAID_AGAIN:
             self._said = now
-            self._ports["status:o"].write([f"navigation_status_{status.state.value}"])
+            self._write("status:o", [f"navigation_status_{status.state.value}"])
         while driver.spoken:
             words = driver.spoken.popleft()
             if self._ports:
@@ -87,7 +89,7 @@ class Told:
     def around(self, now: float, driver: Driver, pose: Pose | None, moved: Pose | None) -> None:
         """Show the local grid, and the way ahead; twice a second while there is a goal."""
         if self._ports and self._ports["gui:o"].heard:
-            self._ports["gui:o"].write(gui(driver))
+            self._write("gui:o", gui(driver))
         if pose is None or moved is None or 0.0 <= now - self._mapped < _MAP_EVERY:
             return
         self._mapped = now
@@ -99,6 +101,11 @@ class Told:
             self._path.publish({
                 "header": header, "poses": [{"header": header, "pose": pose_message(each)} for each in poses]
             })  # fmt: skip
+
+    def _write(self, name: str, values: list[Any]) -> None:
+        """Write with a time stamp, as YARP's robotGoto does at these ports."""
+        self._stamp.update(self._host.clock.now_ns() / 1e9)
+        self._ports[name].write(values, self._stamp.to_text())
 
     def _header(self) -> Message:
         return {"stamp": self._host.clock.stamp(), "frame_id": self._frame}

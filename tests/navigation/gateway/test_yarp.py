@@ -126,7 +126,7 @@ def test_a_suspension_ends_by_itself_and_a_path_is_found_anew(rig: Rig, yarp: IN
     rig.planner.until(3)
     rig.state(State.MOVING)
     assert yarp.stop_navigation_RPC()
-    rig.state(State.IDLE)
+    assert yarp.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
     assert not yarp.recompute_current_navigation_path_RPC()
     assert not yarp.resume_navigation_RPC()
 

@@ -255,6 +255,8 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
         said = control.read_now()
         assert said is not None
         assert (said.values[0], len(said.values), said.values[4]) == (2, 5, 100.0)
+        sequence, seconds = map(float, said.envelope.split())
+        assert (sequence > 0, seconds) == (True, pytest.approx(time.time(), abs=60.0))
         found, grid = client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map)
         assert found
         assert (np.asarray(grid.flags) == MapFlag.FREE).mean() > 0.5
