@@ -20,7 +20,7 @@ BELOW = {
     "stores": {"config", "hub"},
     "routing": {"clock", "config", "messages", "hub", "adapters.base"},
     "modules": {"clock", "config", "messages", "hub", "stores", "routing.counters", "backoff", "worker"},
-    "adapters": {"clock", "config", "messages", "interfaces", "hub", "routing", "worker"},
+    "adapters": {"clock", "config", "messages", "interfaces", "hub", "routing", "backoff", "worker"},
     "daemon": {"config", "messages", "interfaces", "hub", "routing", "adapters", "backoff", "worker"},
 }
 """What each part of ``bridge`` may import beside itself; the command line, the doctor and the demo may import all."""
