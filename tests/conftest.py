@@ -13,7 +13,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-_LONG = ("fuzz", "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces")
+_LONG = (
+    "fuzz", "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces", "examples",
+    "navigation",
+)  # fmt: skip
 """Folders with files that take up to a minute: the last ones are then short, so that no process of xdist ends alone."""
 
 _MARK = "MIDSPAN_TEST_RUN"
