@@ -83,8 +83,9 @@ class Device:
 
     def setInitialPose(self, loc: Map2DLocation, cov: Floats | None) -> None:
         pose = Pose(loc.x, loc.y, math.radians(loc.theta))
+        given = cov if cov is not None and cov.any() else None  # nobody is as sure as zeros say
         try:
-            self._call(lambda: self._asked.begin(pose, cov, loc.map_id))
+            self._call(lambda: self._asked.begin(pose, given, loc.map_id))
         except RuntimeError as err:
             raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
 
