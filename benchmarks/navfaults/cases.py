@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks.navfaults.outcome import Outcome
 from bridge.modules.goal import Status
+from navigation.status import Fault as Why
 from tests.support.chain import Asked, Chain
 
 Make = Callable[[Chain], AbstractContextManager[object]]
@@ -32,6 +33,7 @@ class Fault:
         limit: seconds until the wheels should stand; infinite where the robot is to drive on.
         says: what the reason that the client hears contains.
         ends: how the goal should end; None: that depends.
+        code: the result's error_code; None: any.
         tries: whether the robot may try for a moment meanwhile whether it is over.
     """
 
@@ -41,6 +43,7 @@ class Fault:
     limit: float
     says: str = ""
     ends: Status | None = Status.SUCCEEDED
+    code: int | None = None
     tries: bool = False
 
     def happen(self, chain: Chain, place: str) -> Outcome:
@@ -83,6 +86,8 @@ class Fault:
         )
         if self.ends is not None and status is not self.ends:
             found.wrong = found.wrong or f"the goal should have ended {self.ends.name}"
+        if self.code is not None and asked.code != self.code:
+            found.wrong = found.wrong or f"the goal ended with the code {asked.code}, not {self.code}"
         if self.says and not told and self.says not in asked.reason:
             found.wrong = found.wrong or f"the client did not hear '{self.says}'"
 
@@ -187,7 +192,8 @@ def _elsewhere(chain: Chain) -> None:
 
 FAULTS = (
     Fault("laser silent", _sensor("laser_silent"), 4.0, 1.5, "laser"),
-    Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5),
+    Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5, "laser"),
+    Fault("laser silent for good", _sensor("laser_silent"), 14.0, 1.5, "laser", Status.ABORTED, Why.NO_LASER),
     Fault("odometry silent", _sensor("encoders_silent"), 4.0, 1.5, "odom"),
     Fault("odometry frozen", _sensor("encoders_frozen"), 6.0, 3.0, "does not follow", tries=True),
     Fault("localiser switched off", _without("localization_server"), 5.0, 3.5, "stale"),
@@ -195,6 +201,9 @@ FAULTS = (
     Fault("planner switched off", _without("robot_path_planner"), 3.0, 1.5, "stopped", ends=Status.ABORTED),
     Fault("base_control switched off", _without("base_control"), 4.0, 1.5),
     Fault("emergency stop", _emergency, 4.0, 1.5, "does not follow"),
+    Fault(
+        "emergency stop for good", _emergency, 14.0, 1.5, "does not follow", Status.ABORTED, Why.BASE_STANDS, tries=True
+    ),
     Fault("modules killed", _killed("robot_path_planner"), 3.0, 1.5, ends=Status.ABORTED),
     Fault("modules stand still", _frozen("robot_path_planner"), 3.0, 1.5, ends=None),
     Fault("yarp worker killed", _killed("yarp"), 2.0, math.inf),
