@@ -19,6 +19,7 @@ from bridge.config.model import Config
 from bridge.config.sections.hub import OpenSection
 from bridge.config.sections.values import is_loopback
 from bridge.hub.errors import HubConfigError, HubError, zenoh_reason
+from bridge.hub.link_limits import LinkLimits
 from bridge.hub.settings import MAX_PAYLOAD, connect_endpoint, make_config, router_tree
 from bridge.hub.trust import ANYBODY, access_control
 
@@ -81,6 +82,7 @@ class Door:
             places = ", ".join((*self._open.listen, *self._open.connect))
             msg = f"cannot open {places}: {zenoh_reason(err)}"
             raise HubError(msg) from None
+        self._limits = LinkLimits()
 
     @property
     def zid(self) -> str:
@@ -99,6 +101,7 @@ class Door:
 
     def close(self) -> None:
         """Cut all machines off."""
+        self._limits.close()
         self._session.close()  # type: ignore[no-untyped-call]
 
 

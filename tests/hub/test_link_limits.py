@@ -1,0 +1,33 @@
+"""Links to other machines have a time limit of TCP, those within this one none."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+from bridge.hub.link_limits import limit_links
+from bridge.hub.settings import LEASE_MS
+
+
+@pytest.fixture
+def link() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as link:
+        yield link
+
+
+def limit(link: socket.socket) -> int:
+    return link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+
+
+def test_links_to_other_machines_are_given_up_by_tcp(link: socket.socket) -> None:
+    limit_links(psutil.Process(), far=lambda address: address == "127.0.0.1")
+    assert limit(link) == LEASE_MS
+    link.sendall(b"it is still open")
+
+
+def test_links_of_this_machine_are_left_alone(link: socket.socket) -> None:
+    limit_links(psutil.Process())
+    assert limit(link) == 0
