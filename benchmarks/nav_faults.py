@@ -2,7 +2,7 @@
 
 Printed of each fault: seconds until the wheels stood and metres until then, what the client heard, whether the robot
 went on by itself, and how the goal ended. Rows hold the seconds until the wheels stood; their "peer" is the time that
-is allowed.
+is allowed. Links are cut between two machines that are network namespaces, which takes root and iproute2.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.navfaults.cases import FAULTS
 from benchmarks.rows import Row, add_json_option, report
-from tests.support.chain import Chain
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,15 +26,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = [fault for fault in FAULTS if args.faults is None or fault.key in args.faults]
     rows, wrong = [], 0
     for fault in chosen:
-        with tempfile.TemporaryDirectory(prefix="midspan-nav-faults-") as folder, Chain(Path(folder)) as chain:
+        with tempfile.TemporaryDirectory(prefix="midspan-nav-faults-") as folder, fault.where(Path(folder)) as chain:
             chain.start()
             chain.client.call("/sim/remove", "midspan_msgs/srv/Named", name="anna")
             outcome = fault.happen(chain, args.place)
             print(f"{fault.key:<26} {outcome}", flush=True)
             wrong += bool(outcome.wrong)
             if outcome.wrong and args.log:
-                assert chain.daemon is not None
-                print(chain.daemon.output()[-8000:])
+                print(chain.output())
         if math.isfinite(fault.limit):
             rows.append(Row(f"{fault.key}: until the wheels stand", outcome.still, fault.limit, "s"))
     print()

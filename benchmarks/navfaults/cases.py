@@ -12,9 +12,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from benchmarks.navfaults.outcome import Outcome
+from benchmarks.navfaults.two_machines import TwoMachines
 from bridge.modules.goal import Status
 from navigation.status import Fault as Why
 from tests.support.chain import Asked, Chain
@@ -35,6 +38,8 @@ class Fault:
         ends: how the goal should end; None: that depends.
         code: the result's error_code; None: any.
         tries: whether the robot may try for a moment meanwhile whether it is over.
+        again: whether the goal is asked for once more after it.
+        where: makes the deployment that it happens to.
     """
 
     key: str
@@ -45,14 +50,16 @@ class Fault:
     ends: Status | None = Status.SUCCEEDED
     code: int | None = None
     tries: bool = False
+    again: bool = False
+    where: Callable[[Path], Chain] = Chain
 
     def happen(self, chain: Chain, place: str) -> Outcome:
         """Drive to a place, have it happen on the way, and see what comes of it."""
         found = Outcome(self.key)
-        with contextlib.suppress(AssertionError):
+        try:
             self._happen(chain, place, found)
-            return found
-        found.wrong = found.wrong or str(sys.exc_info()[1] or "it did not come to its end")
+        except AssertionError as err:
+            found.wrong = found.wrong or str(err) or "it did not come to its end"
         return found
 
     def _happen(self, chain: Chain, place: str, found: Outcome) -> None:
@@ -84,6 +91,9 @@ class Fault:
         found.end = (
             f"{status.name}{f' ({asked.reason})' if asked.reason else ''} after {(asked.ended or over) - over:.1f} s"
         )
+        if self.again:
+            chain.goto(place)
+            found.anew = chain.until_moving(30.0)
         if self.ends is not None and status is not self.ends:
             found.wrong = found.wrong or f"the goal should have ended {self.ends.name}"
         if self.code is not None and asked.code != self.code:
@@ -190,6 +200,14 @@ def _elsewhere(chain: Chain) -> None:
     chain.teleport(*chain.places["bedroom"])
 
 
+@contextmanager
+def _cut(chain: Chain) -> Iterator[None]:
+    assert isinstance(chain, TwoMachines)
+    chain.cable.cut()
+    yield
+    chain.cable.mend()
+
+
 FAULTS = (
     Fault("laser silent", _sensor("laser_silent"), 4.0, 1.5, "laser"),
     Fault("laser blind", _sensor("laser_blind"), 4.0, 1.5, "laser"),
@@ -211,4 +229,6 @@ FAULTS = (
     Fault("halt", _halt, 4.0, 2.5, ends=Status.CANCELED),
     Fault("localisation lost", _once(_elsewhere), 8.0, 3.0, "localisation says", tries=True),
     Fault("simulator killed", _killed("sim"), 5.0, math.inf, ends=None),
+    Fault("link to the client cut", _cut, 8.0, 6.0, "left", ends=Status.ABORTED, again=True, where=TwoMachines),
+    Fault("link to the planner cut", _cut, 6.0, 6.0, "is silent", where=partial(TwoMachines, split=True)),
 )

@@ -16,6 +16,7 @@ class Outcome:
         way: metres that the robot went meanwhile.
         told: what the client heard of it: state and reason.
         onward: seconds from the end of the fault until the robot drove on; infinite where it was not to, or did not.
+        anew: seconds from asking for the goal anew until the robot drove; infinite where nobody did, or it did not.
         end: how the client's goal ended, and its reason.
         wrong: what was not as it should be.
     """
@@ -25,6 +26,7 @@ class Outcome:
     way: float = 0.0
     told: str = ""
     onward: float = math.inf
+    anew: float = math.inf
     end: str = ""
     wrong: str = ""
 
@@ -38,6 +40,8 @@ class Outcome:
             parts.append(f"went on {self.onward:.2f} s after the end of the fault")
         if self.end:
             parts.append(f"goal: {self.end}")
+        if math.isfinite(self.anew):
+            parts.append(f"asked anew, it drove after {self.anew:.2f} s")
         if self.wrong:
             parts.append(f"WRONG: {self.wrong}")
         return "; ".join(parts)

@@ -189,18 +189,26 @@ class Chain:
         self.write()
         self.daemon = Process([sys.executable, "-m", "bridge.cli.main", "run", "--config", self.file], dict(os.environ))
         self.client = self.join("client")
-        node = self.client.node
-        node.subscription("/ground_truth", "nav_msgs/msg/Odometry", self._true, Qos(depth=1))
-        node.subscription("/navigation/status", STATUS, self._told, _KEPT)
+        self.listen(self.client, self.client)
+
+    def listen(self, client: Client, watcher: Client) -> None:
+        """Hear what the client is told, and where the robot truly is from whoever watches it."""
+        watcher.node.subscription("/ground_truth", "nav_msgs/msg/Odometry", self._true, Qos(depth=1))
+        client.node.subscription("/navigation/status", STATUS, self._told, _KEPT)
+
+    def output(self) -> str:
+        """The last of the log."""
+        return self.daemon.output()[-8000:] if self.daemon else ""
 
     def write(self) -> None:
         """Write the configuration."""
         self.file.write_text(yaml.safe_dump(self.config))
 
-    def join(self, name: str) -> Client:
-        """A client on the hub, as soon as that is there."""
-        router = f"tcp/127.0.0.1:{self.port}"
-        settings = HubSettings(router=router, node=name, daemon="far", worker=name, shared_memory=False)
+    def join(self, name: str, router: str = "") -> Client:
+        """A client on the hub, as soon as that is there; with a router's endpoint over that alone."""
+        zenoh = {"mode": "client"} if router else None
+        router = router or f"tcp/127.0.0.1:{self.port}"
+        settings = HubSettings(router=router, zenoh=zenoh, node=name, daemon="far", worker=name, shared_memory=False)
         made: Client = until(lambda: _opened(settings), "the hub is there", 40, every=0.2)
         self._clients.append(made)
         return made
