@@ -229,6 +229,8 @@ class Output:
     @property
     def busy(self) -> bool:
         """Whether a message is still on its way out, or not acknowledged."""
+        if self._speaker.due and not self._driven:
+            self.check()  # the acknowledgement may have come: between two messages nobody reads
         return self._driven or self._speaker.due
 
     def wait_idle(self, deadline: float | None) -> bool:
@@ -301,7 +303,7 @@ class Output:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """Look whether the peer is still there; on the shared thread, as nothing is read from an idle connection."""
+        """Look whether the peer is still there, and has acknowledged: nothing is read from an idle connection."""
         with self._lock:
             if self._driven or self.closed:
                 return

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
-from yarp_compat.ports import connecting
+from yarp_compat.ports import connecting, port
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire import message
 from yarp_compat.wire.binary import decode, encode
@@ -95,6 +95,21 @@ def test_strict_keeps_all(make_port: MakePort, slow: Slow) -> None:
         slow.acknowledge()
     assert writer.wait_writes(10)
     assert not writer.is_writing
+
+
+def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen at once, and not when outputs are looked at now and then: commands are for those that are not busy."""
+    monkeypatch.setattr(port, "_LOOK", 1000.0)
+    writer = make_port("/w")
+    writer.add_output("tcp://slow")
+    (output,) = writer.connections.outputs
+    for i in range(3):
+        assert writer.write(b"%d" % i, chosen=lambda output: not output.busy) == 1
+        assert output.busy
+        assert writer.write(b"not heard", chosen=lambda output: not output.busy) == 0
+        assert slow.read() == b"%d" % i
+        slow.acknowledge()
+        until(lambda: not output.busy, "the acknowledgement is noticed")
 
 
 def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
