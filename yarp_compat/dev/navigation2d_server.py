@@ -25,10 +25,12 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.returnvalue import OK, CallFailed, ReturnCode, ReturnValue
 
 _NO_TARGET = "there is no target"
+_FARTHEST = 1e7
+"""Metres: farther than maps go."""
 
 
 class Navigation2DServer(INavigation2DMsgs):
-    """Answers with a device. What it gets is sound: a goal's x and y are finite, a path has waypoints.
+    """Answers with a device. What it gets is sound: a goal's x and y are on some map, a path has waypoints.
 
     A heading that is no number means that any will do, as it does to YARP's robotGoto.
 
@@ -133,6 +135,8 @@ class Navigation2DServer(INavigation2DMsgs):
 
 def _sound_goal(x: float, y: float, theta: float) -> None:
     _sound(x, y, 0.0 if math.isnan(theta) else theta)
+    if max(abs(x), abs(y)) > _FARTHEST:
+        raise CallFailed(ReturnCode.METHOD_FAILED, f"({x:g}, {y:g}) is on no map")
 
 
 def _sound(*numbers: float) -> None:

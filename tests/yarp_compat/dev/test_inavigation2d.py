@@ -267,6 +267,7 @@ def test_goals_that_are_none_do_not_reach_the_device(remote: INavigation2DMsgs, 
     nowhere = Map2DLocation("m1", math.nan, 0.0)
     assert not remote.goto_target_by_absolute_location_RPC(nowhere)
     assert not remote.goto_target_by_relative_location1_RPC(math.inf, 0)
+    assert not remote.goto_target_by_relative_location1_RPC(0, -1.7e308)
     assert not remote.follow_path_RPC(Map2DPath())
     assert not remote.follow_path_RPC(Map2DPath([KITCHEN, nowhere]))
     no_heading = Map2DLocation("m1", 1.0, 2.0, math.inf)  # none is one that says: any
