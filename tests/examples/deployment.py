@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+import zenoh
 
 from tests.interop.deployment import Deployment
 from tests.support.hub_planner import HubPlanner
@@ -43,6 +45,7 @@ class Examples:
         deployment.start(**self.sections(PLANNER))
         self.planner = deployment.keep(HubPlanner(deployment.settings(PLANNER), PLANNER))
         until(lambda: all(connections.exists(self.names, door) for door in _DOORS), "YARP's doors are open", 40)
+        self._until_zenoh_is_served()
         self._place()
         answers = Localization2DServer(self)
         self._localizer = ServiceServer("/localization2D_nws_yarp/rpc", answers, naming=self.names).open()
@@ -56,6 +59,15 @@ class Examples:
             "store": {"enabled": True},
             **yaml.safe_load((EXAMPLES / "zenoh.yaml").read_text()),
         }
+
+    def _until_zenoh_is_served(self) -> None:
+        config = zenoh.Config()
+        for key, value in (("mode", "client"), ("connect/endpoints", [f"tcp/127.0.0.1:{self.deployment.port}"])):
+            config.insert_json5(key, json.dumps(value))
+        with zenoh.open(config) as session:
+            asked = session.declare_querier("robot/go_to")
+            until(lambda: asked.matching_status.matching, "zenoh's clients are answered", 40)
+        until(lambda: self.deployment.route("zenoh_json", "/navigation/status", "out"), "and are told", 40)
 
     def _place(self) -> None:
         with Map2DClient(naming=self.names) as maps:
