@@ -178,7 +178,7 @@ def test_a_thousand_silent_connections(make_port: MakePort) -> None:
     start = time.monotonic()
     assert other.add_output("/r")[0]
     assert other.request(HELLO, timeout=20) == HELLO
-    assert time.monotonic() - start < 5
+    assert time.monotonic() - start < 15
     assert threading.active_count() <= threads + 2
     assert len(silent) > listener.MOST_SILENT
     closed = 0
