@@ -39,12 +39,37 @@ def _flag_by_occupancy() -> NDArray[np.uint8]:
     return table
 
 
+_BLOCK = 1 << 19  # cells at once, so that what lies between stays in the cache
+_FEW = 2
+"""A table of so many edges is quicker to compare with than to look up in."""
+
 _OCCUPANCY, _FLAG = _occupancy_by_flag(), _flag_by_occupancy()
 
 
 def looked_up(cells: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """What a table of 256 numbers has for each cell; as ``table[cells]``, ten times as fast."""
+    edges = np.flatnonzero(table[1:] != table[:-1]) + 1
+    if 1 <= len(edges) <= _FEW:
+        return _risen(cells, table, edges)
     return np.frombuffer(bytearray(cells).translate(table.tobytes()), np.uint8).reshape(cells.shape)
+
+
+def _risen(cells: NDArray[np.uint8], table: NDArray[np.uint8], edges: NDArray[np.intp]) -> NDArray[np.uint8]:
+    """The same where the table has few edges, each of them the first number of a step: compared, not looked up."""
+    flat = np.ascontiguousarray(cells).reshape(-1)
+    found = np.empty_like(flat)
+    room = np.empty(min(_BLOCK, flat.size), np.uint8)
+    first, *others = [(np.uint8(edge), table[edge : edge + 1] - table[edge - 1 : edge]) for edge in edges]
+    for at in range(0, flat.size, _BLOCK):
+        part, result = flat[at : at + _BLOCK], found[at : at + _BLOCK]
+        reached = room[: len(part)]
+        np.multiply(np.greater_equal(part, first[0], out=reached.view(bool)).view(np.uint8), first[1], out=result)
+        for edge, rise in others:
+            np.greater_equal(part, edge, out=reached.view(bool))
+            result += np.multiply(reached, rise, out=reached)
+        if table[0]:
+            result += table[0]
+    return found.reshape(cells.shape)
 
 
 def occupancy_of(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -1,4 +1,7 @@
-"""The images of maps, read and written by Pillow: pgm and ppm (binary or ascii), png, bmp, of any depth."""
+"""The images of maps: pgm and ppm (binary or ascii), png, bmp, of any depth.
+
+Pillow reads and writes them. Of those that are not packed (binary pgm and ppm, grey bmp) it reads the header alone.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +83,30 @@ def _binary(magic: bytes, pixels: NDArray[np.uint8]) -> list[Buffer]:
     return [b"%b\n%d %d\n255\n" % (magic, pixels.shape[1], pixels.shape[0]), np.ascontiguousarray(pixels).data]
 
 
+def _uncoded(image: Any) -> NDArray[np.uint8] | None:
+    """The bytes of an image that stand in its file as they are, without Pillow's copies; None of any other."""
+    if len(image.tile) != 1 or image.mode not in ("L", "RGB"):
+        return None
+    coding, _, offset, said = image.tile[0]
+    if coding != "raw":
+        return None
+    mode, stride, direction = (said, 0, 1) if isinstance(said, str) else said
+    if mode != image.mode:
+        return None
+    width, height = image.size
+    length = width * len(mode)
+    rows = np.empty((height, stride or length), np.uint8)
+    image.fp.seek(offset)
+    if image.fp.readinto(rows.data) != rows.size:
+        return None  # Pillow says what is missing
+    pixels = rows[::direction, :length]
+    return pixels if mode == "L" else pixels.reshape(height, width, 3)
+
+
 def _pixels(image: Any) -> NDArray[Any]:
+    uncoded = _uncoded(image)
+    if uncoded is not None:
+        return uncoded
     mode = image.mode
     if mode in ("I", "I;16", "I;16B", "I;16L"):
         deep: NDArray[Any] = np.clip(np.asarray(image), 0, 65535).astype(np.uint16)

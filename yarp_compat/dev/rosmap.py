@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,15 @@ MODES = ("trinary", "scale", "raw")
 _LONGEST = 1 << 16
 _DEEPEST = 8
 _UNKNOWN_GREY = 205
+_BAND = 1 << 19  # cells
 
 
 _BETWEEN = np.isin(np.arange(256), (0, 100, UNKNOWN), invert=True).astype(np.uint8)
 """Whether an occupancy is one that ``trinary`` images cannot hold."""
+
+
+_BEYOND = np.where(np.arange(256) <= 100, 0, UNKNOWN).astype(np.uint8)
+"""All bits set for what is no occupancy, so that what is one stays beside it."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +88,9 @@ def load_ros(path: str | Path, jail: Path | None = None, name: str = "") -> MapG
     """
     file = found(path, Path(), jail)
     header = read_header(file)
-    occupancy = occupancy_of_image(read_image(found(header.image, file.parent, jail)), header)
+    flags, occupancy = _cells(read_image(found(header.image, file.parent, jail)), header)
     origin = MapGrid2DOrigin(*header.origin) if header.degrees else MapGrid2DOrigin.from_ros(*header.origin)
-    return MapGrid2D.of(
-        flags_of(occupancy), occupancy, name=name or file.stem, resolution=header.resolution, origin=origin
-    )
+    return MapGrid2D.of(flags, occupancy, name=name or file.stem, resolution=header.resolution, origin=origin)
 
 
 def save_ros(
@@ -164,16 +168,36 @@ def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np
         header: how they are meant. In ``trinary`` the opacity counts as a colour, as in the map servers.
     """
     if pixels.ndim == 2:
-        table = _meant(np.arange(np.iinfo(pixels.dtype).max + 1) / np.iinfo(pixels.dtype).max, header)
+        if header.mode == "raw" and pixels.dtype == np.uint8:
+            return pixels | looked_up(pixels, _BEYOND)
+        table = _table(np.iinfo(pixels.dtype).max, header)
         return looked_up(pixels, table) if pixels.dtype == np.uint8 else table[pixels]
     channels = 4 if header.mode == "trinary" and pixels.shape[2] == 4 else 3
     sums = pixels[..., 0].astype(np.uint16)
     for channel in range(1, channels):
         sums += pixels[..., channel]
-    occupancy = _meant(np.arange(255 * channels + 1) / (255 * channels), header)[sums]
+    occupancy = _table(255 * channels, header)[sums]
     if header.mode == "scale" and pixels.shape[2] == 4:
         occupancy[pixels[..., 3] < 255] = UNKNOWN
     return occupancy
+
+
+def _cells(pixels: NDArray[Any], header: RosMapHeader) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """The flags and the occupancy, made of some rows at a time, so that what lies between stays in the cache."""
+    height, width = pixels.shape[:2]
+    flags, occupancy = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
+    rows = max(1, _BAND // max(1, width))
+    for top in range(0, height, rows):
+        band = slice(top, top + rows)
+        occupancy[band] = occupancy_of_image(pixels[band], header)
+        flags[band] = flags_of(occupancy[band])
+    return flags, occupancy
+
+
+@lru_cache(maxsize=4)
+def _table(most: int, header: RosMapHeader) -> NDArray[np.uint8]:
+    """The occupancy of each number of pixels that reach from 0 to this one; kept, as all bands of a map ask for it."""
+    return _meant(np.arange(most + 1) / most, header)
 
 
 def _meant(shades: NDArray[np.float64], header: RosMapHeader) -> NDArray[np.uint8]:

@@ -23,6 +23,7 @@ from yarp_compat.dev.mapcolours import COLOURS
 from yarp_compat.dev.mapfile import MapFileError
 from yarp_compat.dev.mapflag import UNKNOWN, MapFlag, flags_of
 from yarp_compat.dev.mapgrid import MapGrid2D
+from yarp_compat.dev.mapimage import read_image
 
 HEAD = "image: m.pgm\nresolution: 0.05\norigin: [-1.5, 2.0, 0.0]\n"
 USUAL = HEAD + "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
@@ -123,6 +124,25 @@ COLOUR = np.repeat(LEVELS[..., None], 3, axis=2)
 )
 def test_images_of_any_kind_and_depth(tmp_path: Path, image: str, pixels: Any) -> None:
     assert cells(ros(tmp_path, USUAL.replace("m.pgm", image), image, pixels)) == MEANT
+
+
+@pytest.mark.parametrize("image", ["m.pgm", "m.bmp", "m.ppm"])
+@pytest.mark.parametrize("width", [1, 3, 4])
+def test_images_read_without_pillow_are_those_that_it_reads(tmp_path: Path, image: str, width: int) -> None:
+    pixels = np.random.default_rng(width).integers(0, 256, (5, width, 3)).astype(np.uint8)
+    Image.fromarray(pixels if image == "m.ppm" else pixels[..., 0]).save(tmp_path / image)
+    with Image.open(tmp_path / image) as opened:
+        assert np.array_equal(read_image(tmp_path / image), np.asarray(opened))
+    (tmp_path / image).write_bytes((tmp_path / image).read_bytes()[:-4])
+    with pytest.raises(MapFileError, match="cannot be read"):
+        read_image(tmp_path / image)
+
+
+def test_a_map_larger_than_what_is_done_at_once(tmp_path: Path) -> None:
+    pixels = np.resize(np.arange(256, dtype=np.uint8), (1201, 1003))
+    grid = MapGrid2D.load(ros(tmp_path, USUAL + "mode: raw\n", pixels=pixels))
+    assert np.array_equal(grid.occupancy, np.where(pixels <= 100, pixels, UNKNOWN))
+    assert np.array_equal(grid.flags, flags_of(grid.occupancy))
 
 
 def test_images_with_a_palette_or_of_two_colours(tmp_path: Path) -> None:

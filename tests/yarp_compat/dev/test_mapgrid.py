@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.yarp_compat.dev.maps import METRES, maps
 from yarp_compat.dev.locations import Map2DLocation
-from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, occupancy_of
+from yarp_compat.dev.mapflag import MAX_CELLS, UNKNOWN, MapFlag, flags_of, looked_up, occupancy_of
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.dev.mapinfo import MapGrid2DInfo, MapGrid2DOrigin
 from yarp_compat.sig.image import ImageMono, ImageRgb
@@ -184,6 +184,22 @@ def test_pictures() -> None:
 def test_what_flags_and_occupancy_say_of_each_other() -> None:
     assert occupancy_of(np.arange(7, dtype=np.uint8)).tolist() == [0, 0, 0, 0, 100, 255, 255]
     assert flags_of(np.array([0, 49, 50, 100, 101, 255], np.uint8)).tolist() == [0, 0, 4, 4, 5, 5]
+
+
+@given(
+    edges=st.lists(st.integers(1, 255), max_size=4, unique=True),
+    values=st.lists(st.integers(0, 255), min_size=5, max_size=5),
+    shape=st.sampled_from([(0, 0), (1, 1), (3, 5), (1100, 700)]),
+    turned=st.booleans(),
+)
+@settings(max_examples=60, deadline=None)
+def test_cells_are_looked_up_in_tables_of_any_steps(
+    edges: list[int], values: list[int], shape: tuple[int, int], turned: bool
+) -> None:
+    table = np.array(values, np.uint8)[np.searchsorted(sorted(edges), np.arange(256), "right")]
+    cells = np.resize(np.random.default_rng(5).permutation(np.arange(256)).astype(np.uint8), shape)
+    cells = cells[::-1, ::-1] if turned else cells
+    assert np.array_equal(looked_up(cells, table), table[cells])
 
 
 @given(grid=maps(), profile=st.sampled_from(Profile), zipped=st.booleans())
