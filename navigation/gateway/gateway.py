@@ -15,6 +15,7 @@ from bridge.modules.loop import Timer
 from navigation.frames import Frames, FramesError
 from navigation.gateway.drive import Drive, Target, TargetError, target_of
 from navigation.gateway.link import Link
+from navigation.gateway.standing import Standing, of_drive, of_ended, of_others
 from navigation.pose import Pose
 from navigation.status import Fault, State, status_message
 
@@ -55,7 +56,7 @@ class Gateway:
         self.drive: Drive | None = None
         self.planner = section.planner
         self._next: NavigationSection | None = None
-        self._last: tuple[State, str, int] = (State.IDLE, "", 0)
+        self._last = Standing(State.IDLE)
         self._said: tuple[Any, ...] = ()
         self._pause: Timer | None = None
         self.link = Link(host, section, self.planner, self._changed)
@@ -160,7 +161,8 @@ class Gateway:
             self._give_up("it was stopped")
             return "the goal is canceled"
         if not others:
-            self._end_idle("")
+            self._last = Standing(State.IDLE)
+            self._changed()
         return f"the goals that {self.planner} was given itself are canceled" if others else "there was no goal"
 
     def choose(self, planner: str) -> None:
@@ -218,51 +220,22 @@ class Gateway:
         except FramesError:
             return None
 
-    def state(self) -> tuple[State, str]:
-        """How it is getting on, and why."""
-        drive, told = self.drive, self.link.told
-        if drive is None:
-            others = self.link.others
-            if not others:
-                return self._last[:2]
-            state, why = told(others[-1]) or (State.MOVING, "")
-            return state, why or f"a goal that {self.planner} was given itself"
-        if drive.stopping:
-            return State.MOVING, f"stopping: {drive.stopping}"
-        if drive.paused:
-            return State.PAUSED, f"{self.planner} is stopping" if drive.below else ""
-        if drive.waiting_until is not None:
-            return State.ERROR, f"the planner {self.planner} is not there; it is waited for"
-        if drive.below is None:
-            return State.MOVING, ""  # it ended without a reason, which is being looked for
-        if not drive.below.accepted:
-            return State.PREPARING, ""
-        state, why = told(drive.below.id) or (State.MOVING, "")
-        if state.ended:
-            return State.MOVING, ""  # how it ended comes as the goal's result
-        return State.MOVING if state is State.PAUSED else state, why
+    def state(self) -> Standing:
+        """How it is getting on."""
+        if self.drive is not None:
+            return of_drive(self.drive, self.link)
+        others = self.link.others
+        return of_others(self.link, others[-1]) if others else self._last
 
     def status(self) -> Message:
         """The same as a ``midspan_msgs/NavigationStatus``."""
         drive, others = self.drive, self.link.others
-        said = (self._host.clock.stamp(), *self.state(), self._code())
+        said = (self._host.clock.stamp(), *self.state())
         if drive is not None:
             return status_message(*said, goal_id=drive.id, goal=drive.target.stamped(self.robot()))
         if others:
             return status_message(*said, goal_id=others[-1], goal=self.link.pose(others[-1]))
         return status_message(*said)
-
-    def _code(self) -> int:
-        """Why it waits, or how it ended, as a number."""
-        drive = self.drive
-        if drive is None:
-            others = self.link.others
-            return self.link.code(others[-1]) if others else self._last[2]
-        if drive.waiting_until is not None:
-            return Fault.NO_NAVIGATOR
-        if drive.paused or drive.stopping or drive.below is None:
-            return 0
-        return self.link.code(drive.below.id)
 
     # -- the planner's side --------------------------------------------------------------------------------------------
 
@@ -381,18 +354,14 @@ class Gateway:
         self.drive = None
         self._unpause()
         self._last = {
-            Status.SUCCEEDED: (State.REACHED, "", 0),
-            Status.CANCELED: (State.IDLE, why, 0),
-        }.get(status, (State.ABORTED, why, int(code)))
+            Status.SUCCEEDED: Standing(State.REACHED),
+            Status.CANCELED: Standing(State.IDLE, why),
+        }.get(status, Standing(State.ABORTED, why, int(code)))
         self.link.ended = None
         if status is Status.ABORTED:
             self._host.log.warning("the goal of %s is aborted: %s", drive.who, why)
         drive.end(status, code, why)
         self._settle()
-        self._changed()
-
-    def _end_idle(self, why: str) -> None:
-        self._last = (State.IDLE, why, 0)
         self._changed()
 
     # -- its own -------------------------------------------------------------------------------------------------------
@@ -434,10 +403,7 @@ class Gateway:
     def _changed(self) -> None:
         """Tell the status, where it is another one."""
         if self.drive is None and not self.link.others and self.link.ended is not None:
-            (goal, ended, why), self.link.ended = self.link.ended, None
-            told = self.link.told(goal)
-            why = why or (told[1] if told else "")
-            self._last = (ended, why or f"a goal that {self.planner} was given itself", self.link.code(goal))
+            self._last, self.link.ended = of_ended(self.link, *self.link.ended), None
         drive = self.drive
         said = (*self.state(), drive and drive.id, drive and drive.at, None if drive else tuple(self.link.others[-1:]))
         if said != self._said:

@@ -98,14 +98,14 @@ class GatewayModule(Module):
         gateway = self.gateway
         if not gateway.link.ready:
             return Health("waiting", f"the planner {gateway.planner} is not there")
-        state, why = gateway.state()
+        state, why, _ = gateway.state()
         words = f"{gateway.planner} {state.value.replace('_', ' ')}" + (f" ({why})" if why else "")
         return Health("running", f"{words}; {gateway.pending} once it stands" if gateway.pending else words)
 
     def status(self) -> dict[str, Any]:
         """What drives to where."""
         gateway = self.gateway
-        state, why = gateway.state()
+        state, why, _ = gateway.state()
         drive = gateway.drive
         return {
             "planner": gateway.planner,
