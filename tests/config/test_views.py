@@ -1,0 +1,22 @@
+"""The views of configs/ that name YARP's ports; those of topics are held against a deployment (`test_navigation`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from bridge.config.model import Config
+
+VIEW = Path(__file__).parents[2] / "configs" / "views" / "navigation_yarpmanager.xml"
+
+
+def test_yarpmanager_connects_ports_that_there_are() -> None:
+    application = ElementTree.parse(VIEW).getroot()
+    modules, ports = Config().modules, set[str]()
+    for prefix in (modules.robot_path_planner.prefix, modules.mapper2d.prefix):
+        ports |= {f"{prefix}/map:o", f"{prefix}/yarpviewTarget:i"}
+    for module in application.iter("module"):
+        words = (module.findtext("parameters") or "").split()
+        ports |= {words[words.index("--name") + 1], words[words.index("--out") + 1]}
+    named = {end.text for one in application.iter("connection") for end in one if end.tag in ("from", "to")}
+    assert named == ports
