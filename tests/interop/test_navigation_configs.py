@@ -122,6 +122,7 @@ def test_a_robot_of_yarp_is_driven_by_move_base_and_found_by_amcl(site: Site) ->
         return bool(client.getCurrentPosition(here, covariance)) and (here.x, here.y) == pytest.approx((1.6, 2.4))
 
     until(arrived, "the frames say that it is there", SECONDS, every=0.2)
+    assert here.map_id == "apartment"  # as the locations' map, though /map has no name
     assert covariance.numpy().shape == (3, 3)
     assert covariance.numpy()[0, 0] == pytest.approx(0.04)
     commands = []
