@@ -17,7 +17,7 @@ _POSE = struct.Struct("<7d")
 _COUNT = struct.Struct("<I")
 
 
-def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> bytearray:
+def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> memoryview:
     """The message that `navigation.maps.grid.to_grid` says, as `bridge.messages.values.Writer` writes it.
 
     Args:
@@ -34,11 +34,11 @@ def to_cdr(grid: MapGrid2D, frame: str = "map", stamp_ns: int = 0) -> bytearray:
     _align(body, 8)
     body += _POSE.pack(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)) + _COUNT.pack(cells)
     head = _ENCAPSULATION + body
-    message = bytearray(len(head) + cells)
-    message[: len(head)] = head
-    values = np.frombuffer(message, np.uint8, cells, len(head)).reshape(grid.m_height, grid.m_width)
+    message = np.empty(len(head) + cells, np.uint8)  # unlike a bytearray, not filled with zeros before
+    message[: len(head)] = np.frombuffer(head, np.uint8)
+    values = message[len(head) :].reshape(grid.m_height, grid.m_width)
     joining()(np.ascontiguousarray(grid.occupancy), np.ascontiguousarray(grid.flags), values)
-    return message
+    return message.data
 
 
 def _align(body: bytearray, size: int) -> None:
