@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 from bridge.config.model import Config
 
@@ -11,7 +11,7 @@ VIEW = Path(__file__).parents[2] / "configs" / "views" / "navigation_yarpmanager
 
 
 def test_yarpmanager_connects_ports_that_there_are() -> None:
-    application = ElementTree.parse(VIEW).getroot()
+    application = ET.parse(VIEW).getroot()
     modules, ports = Config().modules, set[str]()
     for prefix in (modules.robot_path_planner.prefix, modules.mapper2d.prefix):
         ports |= {f"{prefix}/map:o", f"{prefix}/yarpviewTarget:i"}
