@@ -338,6 +338,16 @@ def test_a_retreat_is_short_and_touches_nothing():
     assert backwards[-1] - backwards[0] <= MAX_RETREAT
 
 
+def test_a_retreat_lasts_two_seconds_whatever_is_set():
+    scene = Scene(retreat=True, retreat_duration=300.0)
+    scene.run(0.3)
+    scene.driver.goal(Pose(1.0, 0.0, math.nan))
+    scene.run(5.0)
+    backwards = [now for now, c in scene.commands if c.vx < 0.0]
+    assert MAX_RETREAT - 0.1 < backwards[-1] - backwards[0] <= MAX_RETREAT
+    assert scene.driver.status.state is State.MOVING
+
+
 # pause, and what else is asked
 
 

@@ -23,14 +23,19 @@ from bridge.modules.goal import Status
 from bridge.stores.kinds import MAP
 from navigation.constraints import Constraints
 from navigation.maps.grid import to_grid, yaw_of
-from navigation.status import Fault
+from navigation.status import Fault, State, status_message
 from tests.modules.place import Place
 from tests.navigation.robot_path_planner.floors import ROOMS, floor
 from tests.navigation.served import ACTION, STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
-from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationStatusEnum, TrajectoryTypeEnum
-from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.inavigation2d import (
+    INavigation2DMsgs,
+    NavigationMapTypeEnum,
+    NavigationStatusEnum,
+    TrajectoryTypeEnum,
+)
+from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.naming import connections
 from yarp_compat.pythonic import Client, Reader, Writer
 from yarp_compat.sig.image import ImageRgb
@@ -51,6 +56,7 @@ class Robot(Program):
         self.fails, self.code = "", Fault.BLOCKED
         self.speed = 3.0
         self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
+        self._status = self.node.publisher("/planner/robot_goto/status", "midspan_msgs/msg/NavigationStatus", LATCHED)
         self.node.action_server("/planner/robot_goto/navigate_to_pose", ACTION, self._take, self._cancel)
         self.beat(TICK, self._tick)
 
@@ -64,6 +70,12 @@ class Robot(Program):
         if self.fails:
             goal.abort({"error_code": int(self.code), "error_msg": self.fails})
         return True
+
+    def says(self, state: State, reason: str) -> None:
+        """Tell of the goal at hand what the action has no word for."""
+        assert self.goal is not None
+        told = status_message(SYSTEM.stamp(), state, reason, goal_id=self.goal.id)
+        self.loop.call(lambda: self._status.publish(told))
 
     def _cancel(self, goal: Goal) -> bool:
         self.loop.post(goal.canceled)
@@ -305,6 +317,51 @@ def test_a_navigator_that_fails_is_said(place: Planning) -> None:
     assert "somebody is too near" in place.module.planner.status.reason
     place.robot.fails = ""
     assert sent.end()[0] is Status.SUCCEEDED
+
+
+def test_a_navigator_that_pauses_in_a_deadlock_is_heard_and_told_to_go_on(place: Planning) -> None:
+    robot, planner, reason = place.robot, place.module.planner, "deadlock: no progress for 20 s"
+    robot.speed = 0.0
+    try:
+        sent = robot.send(4.0, 1.0)
+        until(lambda: robot.goal and robot.goal.status is Status.EXECUTING, "it is to drive", 20)
+
+        def paused() -> bool:
+            robot.says(State.PAUSED, reason)  # again: on a loaded machine it may have been sent again
+            return bool(planner.status[:2] == (State.PAUSED, reason))
+
+        until(paused, "the planner hears that it paused", 20)
+    finally:
+        robot.speed = 3.0
+    place.module._host.loop.call(planner.resume)
+    assert sent.end()[0] is Status.SUCCEEDED
+
+
+def test_yarp_has_a_path_followed_and_sees_the_way(place: Planning) -> None:
+    port = place.registered("/robotPathPlanner/rpc")
+    places = [Map2DLocation("floor", 4.0, 1.0, 0.0), Map2DLocation("floor", 4.0, 4.0, 90.0)]
+    with ServiceClient(INavigation2DMsgs, port, naming=place.names) as client:
+        assert client.remote.follow_path_RPC(Map2DPath(places))
+        until(lambda: place.robot.x > 3.99, "it is at the first", 30)
+        until(lambda: place.robot.y > 3.99 and not place.module.planner.active, "and at the second", 30)
+        headed = [asked[:2] for asked in place.robot.asked if asked[2].heading]
+        assert list(dict.fromkeys(headed)) == [(4.0, 1.0), (4.0, 4.0)]
+        place.robot.speed = 0.0
+        try:
+            assert client.remote.goto_target_by_absolute_location_RPC(places[0])
+            until(lambda: place.module.planner.waypoints, "there is a way", 20)
+            way = client.remote.get_all_navigation_waypoints_RPC(TrajectoryTypeEnum.global_trajectory)[1]
+            assert (way.waypoints[-1].map_id, way.waypoints[-1].x, way.waypoints[-1].y) == ("floor", 4.0, 1.0)
+            here = client.remote.get_current_nav_waypoint_RPC()[1]
+            assert (here.x, here.y) == (way.waypoints[0].x, way.waypoints[0].y)
+            target = client.remote.get_absolute_location_of_current_target_RPC()[1]
+            assert (target.x, target.y) == (4.0, 1.0)
+            found, grid = client.remote.get_current_navigation_map_RPC(NavigationMapTypeEnum.local_map)
+            assert found
+            assert (grid.m_map_name, grid.width(), grid.height()) == ("floor", 100, 100)
+        finally:
+            place.robot.speed = 3.0
+            assert client.remote.stop_navigation_RPC()
 
 
 def test_a_navigator_that_sees_nothing_ends_the_goal(place: Planning) -> None:
