@@ -84,6 +84,9 @@ def files(grid: MapGrid2D, folder: Path) -> dict[str, Pair]:
             partial(grid.save, path, image=kind),
             partial(write, plain / f"g.{kind}", pixels),
         )
+    trinary = folder / "trinary.yaml"  # as most maps are; the others are raw, for the greys
+    grid.save(trinary, mode="trinary")
+    pairs["load yaml and pgm, trinary"] = partial(MapGrid2D.load, trinary), partial(read, folder / "trinary.pgm")
     return pairs
 
 

@@ -39,7 +39,7 @@ def _flag_by_occupancy() -> NDArray[np.uint8]:
     return table
 
 
-_BLOCK = 1 << 19  # cells at once, so that what lies between stays in the cache
+_BLOCK = 1 << 20  # cells at once, so that what lies between stays in the cache
 _FEW = 2
 """A table of so many edges is quicker to compare with than to look up in."""
 
@@ -59,16 +59,20 @@ def _risen(cells: NDArray[np.uint8], table: NDArray[np.uint8], edges: NDArray[np
     flat = np.ascontiguousarray(cells).reshape(-1)
     found = np.empty_like(flat)
     room = np.empty(min(_BLOCK, flat.size), np.uint8)
-    first, *others = [(np.uint8(edge), table[edge : edge + 1] - table[edge - 1 : edge]) for edge in edges]
+    falls = not table[-1]  # counted from the end that is 0 if there is one, so that nothing is to be added to all
+    compared, base = (np.less, table[-1]) if falls else (np.greater_equal, table[0])
+    rises = table[:-1] - table[1:] if falls else table[1:] - table[:-1]
+    first, *others = [(np.uint8(edge), rises[edge - 1]) for edge in edges]
     for at in range(0, flat.size, _BLOCK):
         part, result = flat[at : at + _BLOCK], found[at : at + _BLOCK]
         reached = room[: len(part)]
-        np.multiply(np.greater_equal(part, first[0], out=reached.view(bool)).view(np.uint8), first[1], out=result)
+        compared(part, first[0], out=reached.view(bool))
+        np.multiply(reached, first[1], out=result)
         for edge, rise in others:
-            np.greater_equal(part, edge, out=reached.view(bool))
+            compared(part, edge, out=reached.view(bool))
             result += np.multiply(reached, rise, out=reached)
-        if table[0]:
-            result += table[0]
+        if base:
+            result += base
     return found.reshape(cells.shape)
 
 

@@ -26,7 +26,7 @@ MODES = ("trinary", "scale", "raw")
 _LONGEST = 1 << 16
 _DEEPEST = 8
 _UNKNOWN_GREY = 205
-_BAND = 1 << 19  # cells
+_BAND = 1 << 20  # cells
 
 
 _BETWEEN = np.isin(np.arange(256), (0, 100, UNKNOWN), invert=True).astype(np.uint8)
@@ -185,8 +185,11 @@ def occupancy_of_image(pixels: NDArray[Any], header: RosMapHeader) -> NDArray[np
 def _cells(pixels: NDArray[Any], header: RosMapHeader) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """The flags and the occupancy, made of some rows at a time, so that what lies between stays in the cache."""
     height, width = pixels.shape[:2]
-    flags, occupancy = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     rows = max(1, _BAND // max(1, width))
+    if height <= rows:
+        occupancy = occupancy_of_image(pixels, header)
+        return flags_of(occupancy), occupancy
+    flags, occupancy = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
     for top in range(0, height, rows):
         band = slice(top, top + rows)
         occupancy[band] = occupancy_of_image(pixels[band], header)

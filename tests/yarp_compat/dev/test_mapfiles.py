@@ -139,7 +139,7 @@ def test_images_read_without_pillow_are_those_that_it_reads(tmp_path: Path, imag
 
 
 def test_a_map_larger_than_what_is_done_at_once(tmp_path: Path) -> None:
-    pixels = np.resize(np.arange(256, dtype=np.uint8), (1201, 1003))
+    pixels = np.resize(np.arange(256, dtype=np.uint8), (1301, 1003))
     grid = MapGrid2D.load(ros(tmp_path, USUAL + "mode: raw\n", pixels=pixels))
     assert np.array_equal(grid.occupancy, np.where(pixels <= 100, pixels, UNKNOWN))
     assert np.array_equal(grid.flags, flags_of(grid.occupancy))
