@@ -41,9 +41,12 @@ class SentGoal:
         return self._client.has(self.id)
 
     def cancel(self) -> None:
-        """Ask the server to cancel it; the end tells whether it did. Before the acceptance it is asked after that."""
+        """Ask the server to cancel it; the end tells whether it did. On any thread.
+
+        Before its acceptance is known here, which may wait for the module's thread, it is asked once more after that.
+        """
         self._cancel_wanted = True
-        if self.accepted:
+        if self.accepted is not False:
             self._client.cancel(self.id)
 
     def answered(self, reply: dict[str, Any] | CallError) -> None:
