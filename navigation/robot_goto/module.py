@@ -11,7 +11,7 @@ from typing import Any
 
 from bridge.config.sections.robot_goto import RobotGotoSection
 from bridge.config.sections.section import Section
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.module import Module
@@ -23,6 +23,7 @@ from navigation.constraints import Constraints
 from navigation.current_goal import CurrentGoal, duration, result
 from navigation.frames import Frames, FramesError
 from navigation.goals import goal_of
+from navigation.localized import Localized
 from navigation.maps.grid import from_grid
 from navigation.messages import pose_message
 from navigation.plan_error import PlanError
@@ -39,9 +40,6 @@ from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 
 ACTION = "nav2_msgs/action/NavigateToPose"
-LOCALIZATION = "/localization/status"
-_LOCALIZED = "localized_ok"
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _FEEDBACK = 0.2
 
 
@@ -61,14 +59,13 @@ class RobotGoto(Module):
         self.driver = Driver(self._settings)
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._fed = 0.0, -math.inf
-        self._localized, self._laser_trouble = "", ""
+        self._localized, self._laser_trouble = Localized(host), ""
         self._lost = ""
         self._frames = Frames(host, section.frame, section.base_frame, section.odom_frame)
         self._told = Told(host, section.frame, section.cmd_vel, section.prefix)
         self._connected: Connected | None = None
         if section.scan:
             host.node.subscription(section.scan, SCAN, self._scanned, Qos(depth=1))
-        host.node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
         self._server = host.node.action_server(f"{PREFIX}/navigate_to_pose", ACTION, self._take, self._goal.cancel)
         Clients(host, self._server, lambda: self._give_up(GONE))
         FarClients(host, self._server, lambda goal: self._give_up(CUT_OFF) if goal is self._goal.goal else None)
@@ -95,8 +92,7 @@ class RobotGoto(Module):
 
     def pose(self) -> Pose:
         """The robot's on the map; raises `FramesError` with why it is not known."""
-        if self._localized not in ("", _LOCALIZED):
-            raise FramesError(f"the localisation says '{self._localized}'")
+        self._localized.check()
         return self._frames.pose()
 
     def _moved(self, pose: Pose | None) -> Pose | None:
@@ -135,9 +131,6 @@ class RobotGoto(Module):
             self.driver.unplaced = str(err) if isinstance(err, FramesError) else ""
         else:
             self._laser_trouble = ""
-
-    def _localization_told(self, message: dict[str, Any]) -> None:
-        self._localized = message["data"]
 
     # what is asked
 

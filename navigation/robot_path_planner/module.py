@@ -24,6 +24,7 @@ from navigation.constraints import Constraints
 from navigation.current_goal import CurrentGoal, duration, result
 from navigation.frames import Frames, FramesError
 from navigation.goals import Place, goal_of
+from navigation.localized import Localized
 from navigation.maps.grid import from_grid
 from navigation.messages import pose_message
 from navigation.plan_error import PlanError
@@ -45,8 +46,6 @@ from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 
-LOCALIZATION = "/localization/status"
-_LOCALIZED = "localized_ok"
 _GRID = "nav_msgs/msg/OccupancyGrid"
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _FEEDBACK = 0.2
@@ -70,7 +69,7 @@ class RobotPathPlanner(Module):
         self._goal = CurrentGoal(host.loop, self.stop_driving)
         self._began, self._length = 0.0, 0.0
         self._fed = float("-inf")
-        self._localized, self._trouble = "", ""
+        self._localized, self._trouble = Localized(host), ""
         self._atlas = StoreAtlas(host.store, settings)
         self.planner = PathPlanner(settings, self._atlas)
         self._frames = Frames(host, section.frame, section.base_frame)
@@ -103,7 +102,6 @@ class RobotPathPlanner(Module):
         node, section = self._host.node, self._section
         if section.scan:
             node.subscription(section.scan, SCAN, lambda scan: self._laser.take(self.now(), scan), Qos(depth=1))
-        node.subscription(LOCALIZATION, "std_msgs/msg/String", self._localization_told, _LATCHED)
         if section.map not in (None, "store"):
             node.subscription(str(section.map), _GRID, self._grid_told, _LATCHED)
 
@@ -132,8 +130,7 @@ class RobotPathPlanner(Module):
 
     def pose(self) -> Pose:
         """The robot's on the map; raises `FramesError` with why it is not known."""
-        if self._localized not in ("", _LOCALIZED):
-            raise FramesError(f"the localisation says '{self._localized}'")
+        self._localized.check()
         return self._frames.pose()
 
     def drive(self, *places: Place, constraints: Constraints | None = None, goal: Goal | None = None) -> None:
@@ -304,9 +301,6 @@ class RobotPathPlanner(Module):
 
     def _use(self, grid: MapGrid2D | None) -> None:
         self.planner.use_map(None if grid is None else self._atlas.made(grid))
-
-    def _localization_told(self, message: dict[str, Any]) -> None:
-        self._localized = message["data"]
 
     # how it is
 

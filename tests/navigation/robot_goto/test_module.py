@@ -46,7 +46,10 @@ class Robot(Program):
         self._tf = self.node.publisher("/tf", "tf2_msgs/msg/TFMessage")
         self._scan = self.node.publisher("/scan", "sensor_msgs/msg/LaserScan")
         latched = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-        self._localized = self.node.publisher("/localization/status", "std_msgs/msg/String", latched)
+        self._localized, self._why = (
+            self.node.publisher(f"/localization/{name}", "std_msgs/msg/String", latched)
+            for name in ("status", "reason")
+        )
         self.node.subscription("/cmd_vel", "geometry_msgs/msg/Twist", self._command)
         self.stand(0.0, 0.0, 0.0)
         self.beat(TICK, self._tick)
@@ -55,8 +58,9 @@ class Robot(Program):
         self.x, self.y, self.yaw = x, y, yaw
         self._velocity = (0.0, 0.0, 0.0)
 
-    def localized(self, word: str) -> None:
+    def localized(self, word: str, why: str = "") -> None:
         self._localized.publish({"data": word})
+        self._why.publish({"data": why})
 
     def _command(self, message: dict[str, Any]) -> None:
         linear, angular = message["linear"], message["angular"]
@@ -215,10 +219,12 @@ def test_in_trouble_it_stands_says_why_and_goes_on(place: Goto, trouble: str) ->
     elif trouble == "frames":
         robot.knows = False
     else:
-        robot.localized("not_yet_localized")
-    said = {"laser": "the laser is silent", "frames": "stale", "localisation": "not_yet_localized"}[trouble]
+        robot.localized("error", "the scans do not fit")
+    lost = "the localisation says 'error': the scans do not fit"
+    said = {"laser": "the laser is silent", "frames": "stale", "localisation": lost}[trouble]
     until(lambda: said in driver.status.reason, "it says why it waits", 30)
     assert place.state == "waiting_obstacle"
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "what was under way has come", 20)
     robot.commands.clear()
     until(lambda: len(robot.commands) > 3, "it commands to stand", 20)
     assert set(robot.commands) == {(0.0, 0.0, 0.0)}
