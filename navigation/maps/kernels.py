@@ -34,8 +34,9 @@ def _join_row(occupancy: Cells, flags: Cells, values: Cells) -> None:
 def _part_row(values: Cells, occupancy: Cells, flags: Cells) -> None:
     for column in range(values.size):
         cell = values[column]
-        occupancy[column] = cell if cell <= 100 else 255
-        flags[column] = 0 if cell < 50 else 4 if cell <= 100 else 5
+        beyond = cell > 100
+        occupancy[column] = 255 if beyond else cell
+        flags[column] = (4 if cell >= 50 else 0) | (1 if beyond else 0)  # 4 is a wall, 5 is unknown
 
 
 _UNCOUNTED = {"_nrt": False}
