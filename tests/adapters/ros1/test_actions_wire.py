@@ -85,6 +85,7 @@ def test_the_parts_of_a_ros_2_action(uuid, stamp, accepted, number, found, body,
 def test_a_long_text_is_cut_and_what_is_no_utf_8_is_replaced():
     """On the way in too: another machine's bridge may send any."""
     long = wire.result_response(6, b"body", "é" * 3000)
+    assert len(long) == 1 + 4 + 2 * wire.MAX_TEXT + len(b"body")
     assert wire.read_result_response(long) == (6, b"body", "é" * wire.MAX_TEXT)
     foreign = b"\6" + struct.pack("<I", 3000) + b"x" * 3000 + b"body"
     assert wire.read_result_response(foreign) == (6, b"body", "x" * wire.MAX_TEXT)
