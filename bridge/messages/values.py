@@ -30,6 +30,8 @@ HEADER = b"\0\1\0\0"
 DTYPES = {base: np.dtype("<" + code) for base, code in STRUCT_FORMATS.items()}
 """Each ROS 2 primitive as numpy names it."""
 
+_STRUCTS = {base: struct.Struct("<" + code) for base, code in STRUCT_FORMATS.items()}
+
 
 class Reader:
     """Reads a message that was checked before; arrays of numbers share its memory."""
@@ -82,8 +84,10 @@ class Reader:
 
     def number(self, base: str) -> Any:
         """The number that comes next."""
-        size = PRIMITIVE_SIZES[base]
-        return struct.unpack("<" + STRUCT_FORMATS[base], self.take(size, size))[0]
+        one = _STRUCTS[base]
+        start = self.at + -(self.at - len(HEADER)) % one.size
+        self.at = start + one.size
+        return one.unpack_from(self.data, start)[0]
 
     def take(self, alignment: int, size: int) -> memoryview:
         """The bytes that come next."""
