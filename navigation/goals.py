@@ -14,6 +14,9 @@ from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.status import Fault
 
+_FARTHEST = 1e6
+"""Metres; no map is as large, and sums of far greater numbers say nothing any more."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -45,6 +48,8 @@ def goal_of(goal: Mapping[str, Any], frames: Frames, maps: Callable[[], Collecti
     theta = yaw_of(turn)
     if not all(map(math.isfinite, (place["x"], place["y"], theta))):
         raise PlanError(Fault.BAD_GOAL, f"a goal is a place: x, y and heading are numbers, not {place} and {turn}")
+    if max(abs(place["x"]), abs(place["y"])) > _FARTHEST:
+        raise PlanError(Fault.BAD_GOAL, f"a goal is within {_FARTHEST:g} m, not at {place['x']:g}, {place['y']:g}")
     pose, frame = Pose(place["x"], place["y"], theta), stamped["header"]["frame_id"].lstrip("/")
     if frame in ("", frames.map_frame):
         return Place(wanted.map, pose), wanted

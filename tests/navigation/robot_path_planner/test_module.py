@@ -239,6 +239,7 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Planning) -
         ((1.0, 1.0), "moon", Fault.UNKNOWN_FRAME, "moon"),
         ((99.0, 1.0), "map", Fault.OFF_THE_MAP, "off the map"),
         ((math.nan, 1.0), "map", Fault.BAD_GOAL, "numbers"),
+        ((1e308, 1.0), "map", Fault.BAD_GOAL, "within 1e+06 m"),
     ],
 )
 def test_a_goal_that_cannot_be_says_why(
