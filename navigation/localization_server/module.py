@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.config.model import Config
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.config.sections.section import Section
 from bridge.hub.qos import Durability, Qos
@@ -185,7 +184,8 @@ class LocalizationServer(Module):
     def _grid_told(self, message: dict[str, Any]) -> None:
         topic = str(self._section.map)
         try:
-            grid = from_grid(message, name_of(topic, self._host.config) or self._host.store.current_map() or topic[1:])
+            name = self._host.config.modules.map2d_server.taken_as(topic)
+            grid = from_grid(message, name or self._host.store.current_map() or topic.strip("/"))
         except (ValueError, StoreError) as err:
             self._trouble = f"{topic}: {err}"
             return
@@ -244,15 +244,6 @@ class LocalizationServer(Module):
         self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
         for close in self._closing:
             close()
-
-
-def name_of(topic: str, config: Config) -> str:
-    """What Map2DServer calls the maps of a topic, also before it has taken them into the store; "" where it takes none.
-
-    The locations on such a map have that name, and who tells a start.
-    """
-    server = config.modules.map2d_server
-    return next((taken.name for taken in server.take if taken.topic == topic), "") if server.enabled else ""
 
 
 def _same(one: MapGrid2D, other: MapGrid2D | None) -> bool:

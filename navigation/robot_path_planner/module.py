@@ -291,7 +291,9 @@ class RobotPathPlanner(Module):
 
     def _grid_told(self, message: dict[str, Any]) -> None:
         try:
-            grid = from_grid(message, self._host.store.current_map() or str(self._section.map).strip("/"))
+            topic = str(self._section.map)
+            name = self._host.config.modules.map2d_server.taken_as(topic)
+            grid = from_grid(message, name or self._host.store.current_map() or topic.strip("/"))
         except ValueError as err:
             self._trouble = f"{self._section.map}: {err}"
             return

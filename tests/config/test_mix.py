@@ -157,3 +157,12 @@ def test_the_choice_is_of_what_is_there() -> None:
     assert section.at("move_base") == "/planner/move_base/navigate_to_pose"
     native = {"name": "far", "side": "zenoh", "action": "/far/navigate_to_pose"}
     assert Config.model_validate({"navigation": {"planners": [native]}}).navigation.at("far") == "/far/navigate_to_pose"
+
+
+def test_a_map_of_a_topic_has_the_name_under_which_it_is_taken_into_the_store() -> None:
+    """It comes to planner and localiser before the store has it, and starts are told on the map of that name."""
+    section = {"enabled": True, "take": [{"topic": "/other", "name": "other"}, {"topic": "/map", "name": "apartment"}]}
+    server = Config.model_validate({"modules": {"map2d_server": section}}).modules.map2d_server
+    assert server.taken_as("/map") == "apartment"
+    assert server.taken_as("/far") == ""
+    assert server.model_copy(update={"enabled": False}).taken_as("/map") == ""

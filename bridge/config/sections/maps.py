@@ -91,3 +91,10 @@ class Map2DServerSection(ModuleSection):
                 msg = f"a {what} stands twice"
                 raise ValueError(msg)
         return self
+
+    def taken_as(self, topic: str) -> str:
+        """The name under which the maps of a topic are in the store, also before they have come; "" where they are not.
+
+        The locations on such a map have that name, and who tells a start.
+        """
+        return next((taken.name for taken in self.take if taken.topic == topic), "") if self.enabled else ""

@@ -14,7 +14,7 @@ from bridge.config.model import Config
 from bridge.hub.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.localization_server.messages import POSE_COVARIANCE, spatial
-from navigation.localization_server.module import _same, name_of
+from navigation.localization_server.module import _same
 from navigation.maps.grid import from_grid, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
@@ -173,15 +173,6 @@ def test_what_is_drawn_on_a_map_beside_its_walls_delocalises_nobody() -> None:
         other = MapGrid2D.of(np.zeros((4, 4), np.uint8), name="lab")
         other.flags[1, 2] = flag
         assert _same(one, other) is same
-
-
-def test_a_map_of_a_topic_has_the_name_under_which_it_is_taken_into_the_store() -> None:
-    """It comes here before the store has it, and starts are told on the map of that name."""
-    server = {"enabled": True, "take": [{"topic": "/other", "name": "other"}, {"topic": "/map", "name": "apartment"}]}
-    taken = Config.model_validate({"modules": {"map2d_server": server}})
-    assert name_of("/map", taken) == "apartment"
-    assert name_of("/far", taken) == ""
-    assert name_of("/map", Config.model_validate({"modules": {"map2d_server": {**server, "enabled": False}}})) == ""
 
 
 def test_its_yarp_ports(place: Place, robot: Robot) -> None:
