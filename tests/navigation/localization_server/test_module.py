@@ -259,6 +259,9 @@ def test_in_front_of_amcl(place: Place, robot: Robot) -> None:
     until(says(place, OK), "amcl's frames are heard", 20)
     assert near(place, robot.localized @ robot.odometry, 0.01)()
     until(lambda: said(place)["particles"] == 7, "so are its particles", 20)
+    weighted = robot.node.publisher("/particle_cloud", "nav2_msgs/msg/ParticleCloud", LATCHED, priority="state")
+    weighted.publish({"particles": [{"pose": pose_message(Pose(1.0, 2.0, 0.5)), "weight": 0.2}] * 5})
+    until(lambda: said(place)["particles"] == 5, "and those of ROS 2's", 20)
     with NameServer(port=place.port, gc_seconds=0):
         until(lambda: place.names.query("/localization2D_nws_yarp/rpc"), "the port is there", 20)
         until(lambda: "waiting" not in str(said(place).get("ports")), "all are open", 20)
@@ -319,6 +322,30 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
         until(lambda: (writer.write(there), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
         numbers = [3.0, 2.0, -90.0]
         until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
+
+
+def test_poses_with_a_covariance_and_of_an_odometry(place: Place) -> None:
+    section = {"enabled": True, "period": 0.05, "source": "topic", "topic": "/gnss", "pose_age": 10.0}
+    place.worker.start(place.config(modules={"localization_server": section}, store={}))
+    told = place.far.subscribe("/localization/pose", POSE_COVARIANCE.replace("/msg", ""))
+    for number, kind in enumerate((POSE_COVARIANCE, "nav_msgs/msg/Odometry"), 1):
+        out = place.far.advertise("/gnss", kind.replace("/msg", ""))
+        there, spread = Pose(float(number), 5.0, 1.0), np.diag([0.04 * number, 0.09, 0.01])
+        posed = {"pose": pose_message(there), "covariance": spatial(spread).tolist()}
+        message = {"header": {"frame_id": "map"}, "pose": posed}
+        until(lambda o=out, m=message, p=there: (place.far.publish(o, m), near(place, p, 0.01)())[1], kind, 20)
+        told_so = lambda n=number: place.far.wait(told, 1)[-1]["pose"]["covariance"][0] == pytest.approx(0.04 * n)  # noqa: E731
+        until(told_so, "as sure as it is told", 20)
+
+
+def test_behind_whatever_says_where_the_odometry_is(place: Place, robot: Robot) -> None:
+    started(place, robot, source="tf")
+    until(says(place, "not_yet_localized", "not known where odom is in map"), "it waits for the frames", 20)
+    robot.localized = Pose(1.0, 2.0, 0.5)
+    until(says(place, OK), "the frames are heard", 20)
+    assert near(place, robot.localized @ robot.odometry, 0.01)()
+    robot.localized = None
+    until(says(place, "error", "localisation is stale"), "their end is told", 20)
 
 
 def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) -> None:
