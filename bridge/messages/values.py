@@ -49,12 +49,14 @@ class Reader:
         """A nested message."""
         if not definition.fields:
             self.at += 1
-        return {field.name: self.value(field.type) for field in definition.fields}
+        single = Shape.SINGLE
+        return {
+            field.name: self.element(field.type) if field.type.shape is single else self.value(field.type)
+            for field in definition.fields
+        }
 
     def value(self, kind: FieldType) -> Any:
-        """A field."""
-        if kind.shape is Shape.SINGLE:
-            return self.element(kind)
+        """An array."""
         count = kind.length if kind.shape is Shape.ARRAY else int(self.number("uint32"))
         if kind.base in PRIMITIVE_SIZES:
             size = PRIMITIVE_SIZES[kind.base]
@@ -63,16 +65,20 @@ class Reader:
 
     def element(self, kind: FieldType) -> Any:
         """A field of one value, or one element of an array."""
+        base = kind.base
+        one = _STRUCTS.get(base)
+        if one is not None:  # as most are; `number` once more, for a call less
+            start = self.at + -(self.at - 4) % one.size
+            self.at = start + one.size
+            return self.plain(one.unpack_from(self.data, start)[0], base)
         if kind.nested:
-            return self.structure(self.schema.types[kind.base])
-        if kind.base == "string":
+            return self.structure(self.schema.types[base])
+        if base == "string":
             end = int(self.number("uint32")) + self.at
             start, self.at = self.at, end
             return str(self.data[start : end - 1], "utf-8", "replace")
-        if kind.base == "wstring":
-            units = np.frombuffer(self.take(4, 4 * int(self.number("uint32"))), "<u4")
-            return units.astype("<u2").tobytes().decode("utf-16-le", errors="replace")
-        return self.plain(self.number(kind.base), kind.base)
+        units = np.frombuffer(self.take(4, 4 * int(self.number("uint32"))), "<u4")  # a wstring
+        return units.astype("<u2").tobytes().decode("utf-16-le", errors="replace")
 
     def plain(self, value: Any, base: str) -> Any:  # noqa: ARG002 - for subclasses
         """One number, as it is given out."""

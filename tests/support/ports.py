@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import random
 import socket
+
+_FIRST, _EACH, _SHARES = 14_000, 4_000, 4
+"""Below what Linux gives to connections going out (from 32768 on): one of those would take it before it is opened."""
+
+_share = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % _SHARES
+_begin = random.SystemRandom().randrange(_EACH)  # other processes of the same test take some, too
+_numbers = itertools.count(_begin)
 
 
 def free_port() -> int:
-    """A TCP port on 127.0.0.1 that nothing listens on now."""
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        port: int = sock.getsockname()[1]
-        return port
+    """A TCP port on 127.0.0.1 that nothing listens on now, and that this process was not given lately."""
+    for _ in range(_EACH):
+        port = _FIRST + _share * _EACH + next(_numbers) % _EACH
+        with socket.socket() as sock:
+            try:
+                sock.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    msg = f"all {_EACH} ports of this worker of pytest are taken"
+    raise RuntimeError(msg)
