@@ -110,7 +110,7 @@ def test_nothing_is_left_when_the_demo_is_interrupted(folder: Path, number: sign
         until(lambda: any("robot" in line for line in processes_of(folder)), "the robot runs", 30.0)
         demo.send_signal(number)
         demo.communicate(timeout=40)
-        until(lambda: not processes_of(folder), "all its processes end", 20.0)
+        until(lambda: not processes_of(folder), "all its processes end", 60.0)
     finally:
         demo.kill()
     assert demo.returncode != 0
