@@ -109,6 +109,7 @@ class Running:
         host, self._host = self._host, None
         if module is not None and host is not None:
             try:
+                host.loop.post(host.end_timers)
                 host.loop.call(module.stop, seconds=1.0)
             except Exception:
                 _log.exception("%s did not stop in good order", self.name)

@@ -70,7 +70,7 @@ class LocalizationServer(Module):
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
         host.on_jump(self._forget)
-        self._telling = host.every(section.period, self._tell)
+        host.every(section.period, self._tell)
         host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
 
     def _made(self) -> Source:
@@ -241,7 +241,6 @@ class LocalizationServer(Module):
 
     def stop(self) -> None:
         """Say that nobody knows any more, so that who drives by it stands at once; hear no more."""
-        self._telling.close()  # else it would be said again that all is well
         self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
         for close in self._closing:
             close()
