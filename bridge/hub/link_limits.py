@@ -38,9 +38,18 @@ def limit_links(process: psutil.Process, far: Callable[[str], bool] = _far) -> N
     with contextlib.suppress(psutil.Error, OSError):
         for connection in process.net_connections("tcp"):
             if connection.raddr and connection.fd >= 0 and far(connection.raddr.ip):
-                # a copy: zenoh may close its own in this moment
-                with contextlib.suppress(OSError), socket.socket(fileno=os.dup(connection.fd)) as link:
-                    link.setsockopt(socket.IPPROTO_TCP, _OPTION, LEASE_MS)
+                _limit(connection.fd, _OPTION)
+
+
+def _limit(descriptor: int, option: int) -> None:
+    copy = os.dup(descriptor)  # zenoh may close its own in this moment, and another file have its number
+    try:
+        link = socket.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        return
+    with link, contextlib.suppress(OSError):
+        link.setsockopt(socket.IPPROTO_TCP, option, LEASE_MS)
 
 
 class LinkLimits:
