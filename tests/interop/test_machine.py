@@ -37,15 +37,21 @@ class Flow:
 
     def begin(self) -> None:
         """Wait until both ways cross: the routes are made."""
-        until(self._crosses, "both ways cross", 60)
+        first = self._sent
+        before = [len(hearer.wait(heard, 0, 0)) for _, _, hearer, heard in self._ways]
+
+        def cross() -> bool:
+            self.send()
+            return all(
+                any(int(m["data"]) > first for m in hearer.wait(heard, count + 1, 0.2, since=count))
+                for (_, _, hearer, heard), count in zip(self._ways, before, strict=True)
+            )
+
+        until(cross, "both ways cross", 60)
 
     def _way(self, sender: Peer, hearer: Peer, topic: str) -> tuple[Peer, int, Peer, int]:
         heard = hearer.subscribe(topic, STRING)
         return sender, sender.advertise(topic, STRING), hearer, heard
-
-    def _crosses(self) -> bool:
-        text = self.send()
-        return all({"data": text} in hearer.wait(heard, 0, 0.2) for _, _, hearer, heard in self._ways)
 
     def send(self) -> str:
         """One message each way; its text."""
