@@ -29,7 +29,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, 
 @pytest.mark.parametrize("example", EXAMPLES, ids=range(1, len(EXAMPLES) + 1))
 def test_the_examples_run(environment: dict[str, str], example: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", example], env=environment, timeout=60, capture_output=True, text=True, check=False
+        [sys.executable, "-c", example], env=environment, timeout=100, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "[ERROR]" not in done.stderr

@@ -91,7 +91,7 @@ def link(tmp_path: Path) -> Iterator[Link]:
         engine = EngineWorker(robot, Registry(), rules=rules)
         try:
             made = Link(proxy, robot, engine, sticks)
-            until(made.drives, "commands get through", 20)
+            until(made.drives, "commands get through")
             yield made
         finally:
             engine.close()
@@ -106,7 +106,7 @@ def test_what_waited_in_a_stalled_link_is_not_obeyed(link: Link) -> None:
         link.command(seconds)
         mouth.put(b"%g" % seconds)
         link.proxy.thaw()
-        until(link.drives, "commands get through again", 20)
+        until(link.drives, "commands get through again")
     assert link.latest() < LATE
     assert link.dropped() > 10
     heard.wait("0.2", "1")
@@ -120,9 +120,9 @@ def test_a_link_that_loses_delivers_nothing_late_and_all_the_rest(link: Link) ->
     for word in words:
         mouth.put(word.encode())
         link.command(0.2)
-    until(lambda: link.proxy.lost or link.command(0.1), "something is lost", 20)
+    until(lambda: link.proxy.lost or link.command(0.1), "something is lost")
     link.proxy.loss = 0.0
-    until(link.drives, "commands get through", 20)
+    until(link.drives, "commands get through")
     heard.wait(*words)
     assert link.latest() < LATE
 
@@ -132,7 +132,7 @@ def test_a_link_that_grows_slow_delivers_nothing_late(link: Link) -> None:
         link.proxy.delay = delay
         link.command(0.3)
     link.proxy.delay = 0.0
-    until(link.drives, "commands get through again", 20)
+    until(link.drives, "commands get through again")
     assert link.latest() < LATE
     assert link.dropped()
 
@@ -144,12 +144,12 @@ def test_a_half_open_connection_is_given_up_and_made_anew(link: Link, direction:
     started = time.monotonic()
     deaf = link.engine.hub if direction == "up" else link.operator
     other = link.operator if direction == "up" else link.engine.hub
-    until(lambda: other.zid not in {node.zid for node in deaf.graph.nodes()}, "the silence is noticed", 15)
+    until(lambda: other.zid not in {node.zid for node in deaf.graph.nodes()}, "the silence is noticed")
     noticed = time.monotonic() - started
     link.command(0.5)
     link.proxy.thaw()
     thawed = time.monotonic()
-    until(link.drives, "commands get through again", 20)
+    until(link.drives, "commands get through again")
     print(
         f"half-open ({direction}): noticed after {noticed:.1f} s, back {time.monotonic() - thawed:.1f} s after its end"
     )
@@ -167,10 +167,10 @@ def test_cut_connections_are_made_anew_with_all_state(link: Link) -> None:
     for _ in range(3):
         link.proxy.cut()
         changing.put(b"newer")
-        until(link.drives, "commands get through again", 20)
+        until(link.drives, "commands get through again")
     print(f"cut three times: {time.monotonic() - started:.1f} s")
     changing.put(b"newest")
-    until(lambda: plan.texts()[-1] == "newest", "the state is complete", 20)
+    until(lambda: plan.texts()[-1] == "newest", "the state is complete")
     assert set(heard.texts()) == {"first"}
     Heard(link.operator, "/map", LATCHED).wait("first")
     assert link.latest() < LATE
@@ -200,7 +200,7 @@ def test_a_slow_link_delays_nobody_else(link: Link) -> None:
             longest = max(longest, time.monotonic() - before)
             sent += 1
             link.command(0.02)
-        until(lambda: len(arrived) == sent, "everything arrives on this machine", 10)
+        until(lambda: len(arrived) == sent, "everything arrives on this machine")
         link.proxy.rate = None
     arrived.sort()
     print(
@@ -210,7 +210,7 @@ def test_a_slow_link_delays_nobody_else(link: Link) -> None:
     assert arrived[len(arrived) // 2] < 0.1
     assert link.latest() < LATE
     assert len(far) < sent
-    until(link.drives, "commands get through", 20)
+    until(link.drives, "commands get through")
 
 
 def test_state_gets_through_a_slow_link(link: Link) -> None:

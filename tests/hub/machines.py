@@ -39,7 +39,9 @@ class Machines:
                 "connect_certificate": str(self.folder / f"{name}.pem"),
                 "connect_private_key": str(self.folder / f"{name}.key"),
             }
-        return {"mode": "client", "connect": {"timeout_ms": 1000}, "transport": {"link": {"tls": tls}}}
+        refused = name in ("", "stranger")  # who waits in vain waits briefly
+        wait = {"timeout_ms": 1000 if refused else 30_000}
+        return {"mode": "client", "connect": wait, "transport": {"link": {"tls": tls}}}
 
     def hub(self, name: str) -> Hub:
         return Hub.open(

@@ -35,7 +35,7 @@ class Heard:
         with self._lock:
             return [sample.data().decode() for sample in self.samples]
 
-    def wait(self, *texts: str, seconds: float = 10.0) -> None:
+    def wait(self, *texts: str, seconds: float = 40.0) -> None:
         """Wait until exactly these have come, in any order."""
         until(lambda: len(self.samples) >= len(texts), f"{texts} heard", seconds)
         assert sorted(self.texts()) == sorted(texts)

@@ -63,7 +63,7 @@ def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
         a.serve("verb", lambda _params: 1)
         key = f"@midspan/{a.domain}/test/test/verb"
         until(lambda: b.ask("verb", {}), "reachable")
-        (reply,) = b._session.get(key, payload=question, timeout=5)
+        (reply,) = b._session.get(key, payload=question, timeout=40)
         assert b"error" in reply.ok.payload.to_bytes()
         assert [x.value for x in b.ask("verb", {})] == [1]
 
@@ -71,10 +71,10 @@ def test_a_bad_question_is_refused(network: HubNetwork, question: bytes):
 def test_a_slow_answer_does_not_hold_up_samples_or_other_verbs(network: HubNetwork):
     with Hub.open(network.settings("a")) as a:
         go = threading.Event()
-        a.serve("slow", lambda _params: go.wait(10))
+        a.serve("slow", lambda _params: go.wait(40))
         a.serve("quick", lambda _params: "here")
         slow: list[list[Answer]] = []
-        asker = threading.Thread(target=lambda: slow.append(a.ask("slow", {}, timeout=10)))
+        asker = threading.Thread(target=lambda: slow.append(a.ask("slow", {}, timeout=40)))
         asker.start()
         assert [x.value for x in a.ask("quick", {})] == ["here"]
         go.set()

@@ -174,7 +174,7 @@ def test_goals_and_cancels(machines: Machines, name: str, works: bool) -> None:
     def ask(mouth: zenoh.Session) -> None:
         services = [GOAL, CANCEL, key("/stop", "std_srvs/srv/SetBool"), "0/go/_action/**", "0/**"]
         for each in [*services, RESULT, key("/map_server/map", "nav_msgs/srv/GetMap")]:
-            found = mouth.get(each, target=zenoh.QueryTarget.ALL, timeout=2.0)
+            found = mouth.get(each, target=zenoh.QueryTarget.ALL, timeout=10.0)
             asked.extend(str(reply.ok.key_expr) for reply in found if reply.ok)
 
     heard = [each for each, _ in everything_said(machines, name, ask)]
@@ -206,7 +206,7 @@ def test_a_guest_cannot_answer_with_commands(machines: Machines) -> None:
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             accept_replies=zenoh.ReplyKeyExpr.ANY,
-            timeout=2.0,
+            timeout=10.0,
         )
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 

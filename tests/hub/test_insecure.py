@@ -47,13 +47,14 @@ def test_who_commands_without_tls(trusted: list[str], expected: set[str]) -> Non
         door = {"listen": ["tcp/0.0.0.0:7448"], "insecure": True, "trusted": trusted}
         config = json.dumps({"name": "robot", "hub": {"router": True, "open": door}})
         started.append(robot.start(sys.executable, ROUTER_PROGRAM, config, env=env))
-        until(lambda: "listening" in started[0].output(), "the router listens", 20)
-        ear = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "20", env=env)
+        until(lambda: "listening" in started[0].output(), "the router listens")
+        ear = robot.start(sys.executable, "-c", PROGRAM, "tcp/127.0.0.1:7447", "[]", "60", env=env)
         started.append(ear)
-        until(lambda: "joined" in ear.output(), "a local program joins", 20)
+        until(lambda: "joined" in ear.output(), "a local program joins")
         words = json.dumps([COMMAND, "0/**", DATA, END])
-        other.run(sys.executable, "-c", PROGRAM, f"tcp/{cable.addresses[0]}:7448", words, "1.5", env=env)
-        ear.popen.wait(20)
+        place = f"tcp/{cable.addresses[0]}:7448"
+        started.append(other.start(sys.executable, "-c", PROGRAM, place, words, "60", env=env))
+        ear.popen.wait(90)
         assert set(json.loads(ear.output().splitlines()[-1])) == expected
     finally:
         for process in reversed(started):

@@ -65,7 +65,7 @@ def send_big(network: HubNetwork, number: signal.Signals) -> set[Path]:
         used = segments(sender.pid)
         assert 1 << 20 < max(segment.stat().st_size for segment in used) <= 16 << 20
         sender.signal(number)
-        sender.popen.wait(10)
+        sender.popen.wait(40)
     return used
 
 
@@ -82,7 +82,7 @@ def test_a_program_that_forgets_to_close_ends():
     """Zenoh's threads would keep the interpreter for ever."""
     with HubNetwork() as network:
         env = {"PYTHONPATH": str(ROOT), "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}
-        subprocess.run([sys.executable, "-c", PROGRAM, network.endpoint], env=env, check=True, timeout=30)
+        subprocess.run([sys.executable, "-c", PROGRAM, network.endpoint], env=env, check=True, timeout=100)
 
 
 @pytest.mark.parametrize("qos", [STREAM, LATCHED])

@@ -39,25 +39,25 @@ def cut(port: int) -> None:
 
 def test_a_link_that_alone_was_cut_is_made_again(hubs: QuickHub) -> None:
     with Hub.open(hubs.settings("one")) as one, Hub.open(hubs.settings("two", "two")) as two:
-        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked", 20)
+        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked")
         heard: list[bytes] = []
         router = str(hubs._session.info.zid())
         hubs._control.serve(mesh.MEMBERS, lambda _: {"zid": router, "members": 5})  # a liar is not believed
         two.serve("say", lambda params: heard.append(params["word"]))
         cut(int(hubs.endpoint.rpartition(":")[2]))
-        until(lambda: two.zid not in peers(one) or one._mesh.mended + two._mesh.mended, "the link is lost", 20)
-        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked again", 20)
-        until(lambda: one._mesh.mended + two._mesh.mended, "who mended it knows", 20)
-        until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other", 20)
+        until(lambda: two.zid not in peers(one) or one._mesh.mended + two._mesh.mended, "the link is lost")
+        until(lambda: two.zid in peers(one) and one.zid in peers(two), "they are linked again")
+        until(lambda: one._mesh.mended + two._mesh.mended, "who mended it knows")
+        until(lambda: one.ask("say", {"word": "again"}, worker="two") and heard, "they hear each other")
 
 
 def test_who_left_is_not_missed(hubs: QuickHub, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mesh, "_REMEMBERED_SECONDS", 1.0)
     with Hub.open(hubs.settings("one")) as one:
         with Hub.open(hubs.settings("two", "two")) as two:
-            until(lambda: two.zid in peers(one), "they are linked", 20)
-        until(lambda: two.zid not in peers(one), "the link's end is known", 20)
-        until(lambda: not one._mesh._lost, "nobody is looked for any more", 20)
+            until(lambda: two.zid in peers(one), "they are linked")
+        until(lambda: two.zid not in peers(one), "the link's end is known")
+        until(lambda: not one._mesh._lost, "nobody is looked for any more")
         assert not one._mesh.mended
 
 

@@ -112,7 +112,7 @@ def test_opening_does_not_wait_for_the_router_and_joins_when_it_comes():
             heard = Heard(b, "/map", LATCHED)
             talk(a, "/map", LATCHED, "x")
             # a bound for hanging, not a measurement
-            assert time.monotonic() - start < 5
+            assert time.monotonic() - start < 15
             assert [n.node for n in a.graph.nodes()] == ["a"]
             network.start_router()
             see_each_other(a, b)

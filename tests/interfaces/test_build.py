@@ -40,7 +40,7 @@ print("used")
 
 def test_a_program_uses_what_was_built(built: Path) -> None:
     env = os.environ | environment([built])
-    done = subprocess.run([sys.executable, "-c", USE], env=env, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run([sys.executable, "-c", USE], env=env, capture_output=True, text=True, check=False, timeout=100)
     assert done.stdout.strip() == "used", done.stderr
 
 
@@ -81,7 +81,7 @@ def test_two_processes_build_once(tmp_path: Path) -> None:
     builders = [
         subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True) for _ in range(2)
     ]
-    outputs = [builder.communicate(timeout=60)[0].splitlines() for builder in builders]
+    outputs = [builder.communicate(timeout=100)[0].splitlines() for builder in builders]
     assert outputs[0][-1] == outputs[1][-1]
     assert sum("building" in line for output in outputs for line in output) == 1
 
@@ -131,7 +131,7 @@ sys.modules["tf2_msgs"] = type(sys)("tf2_msgs")
 assert activate(Path({str(built)!r})) == ("tf2_msgs",)
 assert sys.path.count(sys.path[0]) == 1
 """
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=100)
 
 
 def test_different_builds_of_one_package_do_not_mix(built: Path, cache: Path) -> None:
@@ -144,4 +144,4 @@ def test_different_builds_of_one_package_do_not_mix(built: Path, cache: Path) ->
 def test_several_prefixes_merge(built: Path, cache: Path) -> None:
     env = os.environ | environment([built, build(TINY, cache)])
     code = "import midspan_tiny_msgs.msg, midspan_whole_msgs.msg, tf2_msgs.msg, midspan_parts_msgs.srv"
-    subprocess.run([sys.executable, "-c", code], env=env, check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], env=env, check=True, timeout=100)

@@ -52,7 +52,7 @@ class Place:
             self.far.publish(out, {"data": said})
             return text in {m["data"] for m in self.far.wait(heard, 1, 0.2)}
 
-        until(once, f"{text} is heard", 20)
+        until(once, f"{text} is heard")
 
     def __enter__(self) -> Self:
         return self

@@ -15,12 +15,12 @@ def test_work_on_the_callers_thread_is_watched() -> None:
 
     def work() -> None:
         inside.set()
-        go_on.wait(10)
+        go_on.wait(40)
 
     thread = threading.Thread(target=dispatcher.here, args=(work,))
     thread.start()
-    assert inside.wait(10)
-    until(lambda: dispatcher.stuck_for() > 0.01, "the work under way is seen", 10)
+    assert inside.wait(40)
+    until(lambda: dispatcher.stuck_for() > 0.01, "the work under way is seen")
     go_on.set()
     thread.join()
     assert dispatcher.stuck_for() == 0.0
@@ -34,6 +34,6 @@ def test_work_that_fails_stops_nothing() -> None:
         dispatcher.here(lambda: 1 // 0)  # type: ignore[arg-type]
         dispatcher.submit(Priority.STREAM, lambda: 1 // 0)  # type: ignore[arg-type]
         dispatcher.submit(Priority.STREAM, done.set)
-        assert done.wait(10)
+        assert done.wait(40)
     finally:
         dispatcher.stop()

@@ -12,7 +12,7 @@ def test_it_carries_in_order_and_the_oldest_make_room() -> None:
     go_on, carried, dropped = threading.Event(), list[int](), list[bool]()
 
     def carry(message: int) -> None:
-        assert go_on.wait(10)
+        assert go_on.wait(40)
         carried.append(message)
         if message == 8:
             raise ValueError(message)
@@ -21,17 +21,17 @@ def test_it_carries_in_order_and_the_oldest_make_room() -> None:
     try:
         assert not lane.busy
         lane.put(0, 1)
-        until(lambda: not lane._queue, "the first one is under way", 10)
+        until(lambda: not lane._queue, "the first one is under way")
         assert lane.busy
         for number in range(1, 8):
             lane.put(number, 1)
         lane.put(8, 99)  # no room beside more than one other
         go_on.set()
-        until(lambda: not lane.busy, "all are carried", 10)
+        until(lambda: not lane.busy, "all are carried")
         assert carried == [0, 7, 8]
         assert len(dropped) == 6
         lane.put(9, 1000)  # the newest always fits, and a failed one stops nothing
-        until(lambda: carried[-1] == 9, "it goes on", 10)
+        until(lambda: carried[-1] == 9, "it goes on")
     finally:
         lane.close()
         lane.close()
@@ -42,18 +42,18 @@ def test_closing_drops_what_waits() -> None:
 
     def carry(message: int) -> None:
         inside.set()
-        assert go_on.wait(10)
+        assert go_on.wait(40)
         carried.append(message)
 
     lane = Lane[int]("lane", 10, 100, carry, lambda: None)
     lane.put(1, 1)
-    assert inside.wait(10)
+    assert inside.wait(40)
     lane.put(2, 1)
     closer = threading.Thread(target=lane.close)
     closer.start()
-    until(lambda: lane._closed, "closing", 10)
+    until(lambda: lane._closed, "closing")
     go_on.set()
-    closer.join(10)
+    closer.join(40)
     lane.put(3, 1)
     assert carried == [1]
 
@@ -63,13 +63,13 @@ def test_what_is_offered_is_taken_only_where_there_is_room() -> None:
 
     def carry(message: int) -> None:
         inside.set()
-        assert go_on.wait(10)
+        assert go_on.wait(40)
         carried.append(message)
 
     lane = Lane[int]("lane", 2, 100, carry, lambda: None)
     try:
         assert lane.offer(0, 1000)
-        assert inside.wait(10)
+        assert inside.wait(40)
         assert [lane.offer(number, size) for number, size in ((1, 60), (2, 60), (3, 40), (4, 0))] == [
             True,
             False,
@@ -77,7 +77,7 @@ def test_what_is_offered_is_taken_only_where_there_is_room() -> None:
             False,
         ]
         go_on.set()
-        until(lambda: not lane.busy, "all are carried", 10)
+        until(lambda: not lane.busy, "all are carried")
         assert carried == [0, 1, 3]
     finally:
         lane.close()

@@ -90,7 +90,7 @@ class Machine:
             text=True,
             check=False,
             stdin=subprocess.DEVNULL,
-            timeout=60,
+            timeout=100,
         )
 
     @property

@@ -93,6 +93,6 @@ def test_the_locked_versions_are_installed() -> None:
 
 
 def test_make_lists_its_targets() -> None:
-    told = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True, timeout=60).stdout
+    told = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True, timeout=100).stdout
     for target in ("demo", "test", "lint", "types", "check", "bench", "clean"):
         assert re.search(rf"^{target}\s+\S", told, re.MULTILINE), target

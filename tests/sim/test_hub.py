@@ -56,7 +56,7 @@ class Place:
             answers = self.far.hub.ask("status", {}, worker="sim")
             return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
-        found: dict[str, Any] = until(answer, "the simulator's status", 20)
+        found: dict[str, Any] = until(answer, "the simulator's status")
         return found
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ def test_a_client_steps_it_and_it_waits_for_who_acknowledges(place: Place) -> No
     assert far.wait(heard["/clock"], 1)[-1]["clock"]["sec"] >= 1
     assert place.named("fail", "encoders_silent")["success"]
     ended = place.step(0.2)["stamp"]
-    until(lambda: far.wait(heard["/clock"], 1)[-1]["clock"] == ended, "the time is told", 20)
+    until(lambda: far.wait(heard["/clock"], 1)[-1]["clock"] == ended, "the time is told")
     before = {"sec": ended["sec"] - (ended["nanosec"] < 1e8), "nanosec": int((ended["nanosec"] - 1e8) % 1e9)}
     for topic in ("/joint_states", "/odom"):
         last_said = far.wait(heard[topic], 1)[-1]["header"]["stamp"]

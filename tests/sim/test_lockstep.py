@@ -45,15 +45,24 @@ def test_the_same_run_bit_for_bit_with_a_module_on_the_hub(tmp_path: Path) -> No
         modules.start(config)
         until(lambda: (place.step(0.02), place.status()["truth"][0] > 0.01)[1], "the driver drives", 30)
 
+        def heard() -> list[dict[str, Any]]:
+            return place.far.wait(truth, 1)
+
         def run() -> list[tuple[float, float]]:
             """Where the base came to in 25 steps after a reset, tick by tick of the topic."""
             assert place.call("/sim/reset", "std_srvs/Trigger")["success"]
-            before = len(place.far.wait(truth, 1))
+            stamps = []
             for _ in range(25):
                 reply = place.step(0.02, "driver")
                 assert reply["success"], reply
-            poses = place.far.wait(truth, before + 25)[before : before + 25]
-            return [tuple(m["pose"]["pose"]["position"][axis] for axis in "xy") for m in poses]
+                stamps.append(tuple(reply["stamp"].values()))
+
+            def poses() -> list[tuple[float, float]]:
+                told = {tuple(m["header"]["stamp"].values()): m["pose"]["pose"]["position"] for m in heard()}
+                return [(told[stamp]["x"], told[stamp]["y"]) for stamp in stamps if stamp in told]
+
+            until(lambda: len(poses()) == 25, "all of them are told")
+            return poses()
 
         run()  # the first begins with whatever the driver heard last
         first = run()

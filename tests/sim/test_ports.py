@@ -27,8 +27,8 @@ def test_a_yarp_client_has_laser_odometry_and_battery(tmp_path: Path) -> None:
             names = NameClient(Address("127.0.0.1", place.port), namespace="/root")
             section = {"beams": 8, "farthest": 15.0}
             place.worker.start(place.config(plan="hall", start=(0.5, 0.0, 0.0), yarp="/cer", laser=section))
-            until(lambda: connections.exists(names, "/cer/battery:o"), "the last port is there", 20)
-            until(lambda: "waiting" not in str(place.status()["ports"]), "all are open", 20)
+            until(lambda: connections.exists(names, "/cer/battery:o"), "the last port is there")
+            until(lambda: "waiting" not in str(place.status()["ports"]), "all are open")
             streams(place, names)
             settings(names)
             place.worker.stop()
@@ -42,7 +42,7 @@ def streams(place: Place, names: NameClient) -> None:
     def heard(port: str) -> Received:
         with Reader(f"/test{port}", naming=names) as reader:
             connections.connect(names, port, f"/test{port}")
-            received = until(reader.read_now, f"a message of {port}", 20)
+            received = until(reader.read_now, f"a message of {port}")
         assert received is not None
         return received
 

@@ -16,15 +16,15 @@ from tests.support.hub import ROOT
 from tests.support.process import Process
 
 WRITER = Path(__file__).with_name("writer.py")
-COUNT = 1000
+MORE_THAN_ANY = 10**9
+"""Puts that the writer would make: it is killed in the middle however late that comes."""
 
 
 @pytest.mark.parametrize("again", range(2))
 def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
     file = tmp_path / "store.sqlite"
-    last = random.randrange(100, COUNT - 100)
+    last = random.randrange(100, 900)
     acknowledged = write(file, 0, kill_at=last)
-    assert last <= acknowledged < COUNT - 1, "it was killed in the middle"
     check(file, acknowledged)
     if again:  # the file of a killed process is written on, and that one is killed too
         acknowledged = write(file, acknowledged + 1, kill_at=acknowledged + 50)
@@ -34,7 +34,7 @@ def test_kill_in_the_middle_of_writes(tmp_path: Path, again: int) -> None:
 def write(file: Path, first: int, kill_at: int) -> int:
     """Have a process write, kill it at a number, and return the last number that it acknowledged."""
     with Process(
-        [sys.executable, WRITER, file, str(first), str(COUNT)], {"PYTHONPATH": str(ROOT)}, pipes=True
+        [sys.executable, WRITER, file, str(first), str(MORE_THAN_ANY)], {"PYTHONPATH": str(ROOT)}, pipes=True
     ) as process:
         assert process.popen.stdout is not None
         told = -1

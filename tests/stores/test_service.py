@@ -49,8 +49,8 @@ def place(tmp_path: Path) -> Iterator[Place]:
 
 def test_a_module_has_the_store_and_the_status_tells_of_it(place: Place) -> None:
     place.worker.start(place.config(OWN))
-    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module hears", 20)
-    status = until(lambda: place.status("store"), "the store tells of itself", 20)
+    until(lambda: (place.status("keeper") or {}).get("heard") == ["kitchen"], "the module hears")
+    status = until(lambda: place.status("store"), "the store tells of itself")
     assert status["text"] == "1 location; shared with no other"
     assert status["store"]["keys"] == {"location": 1}
     assert (place.folder / "here" / "store.sqlite").exists()
@@ -62,7 +62,7 @@ def test_a_store_without_any_module(place: Place) -> None:
     assert not worker_kinds()["modules"].enabled(place.config())
     place.worker.start(config)
     assert (place.worker.health().state, place.worker.health().text) == ("running", "store")
-    until(lambda: place.status("store"), "the store is there", 20)
+    until(lambda: place.status("store"), "the store is there")
 
 
 def test_a_store_that_is_off_or_taken_is_told(place: Place) -> None:
@@ -92,7 +92,7 @@ def test_a_module_that_runs_alone_has_a_copy_of_its_own(place: Place) -> None:
     try:
         store = daemon.store
         alone.start(config)
-        until(lambda: store.names(LOCATION) == ["kitchen"], "what the module wrote is there", 20)
+        until(lambda: store.names(LOCATION) == ["kitchen"], "what the module wrote is there")
     finally:
         alone.stop()
         daemon.close()

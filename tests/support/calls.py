@@ -40,7 +40,7 @@ class Serving:
             self.abandoned += 1
             self._changed.notify_all()
 
-    def requests(self, count: int = 1, seconds: float = 20.0) -> list[dict[str, Any]]:
+    def requests(self, count: int = 1, seconds: float = 40.0) -> list[dict[str, Any]]:
         with self._changed:
             self._changed.wait_for(lambda: len(self._requests) >= count, seconds)
             return list(self._requests)

@@ -26,9 +26,9 @@ def exchange(program: Any, out: int, heard: int, far: Sequence[HubSide]) -> list
             end.publish(sender, {"data": f"far {which} {number}"})
     from_program = [f"program {n}" for n in range(20)]
     from_hubs = [f"far {which} {n}" for which in range(len(far)) for n in range(20)]
-    until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything", 20)
+    until(lambda: set(from_hubs) <= _texts(program, heard), "the program heard everything")
     for end, subscription in zip(far, at_far, strict=True):
-        until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything", 20)
+        until(lambda e=end, s=subscription: set(from_program) <= _texts(e, s), "a hub heard everything")
     got = sorted(m["data"] for m in program.wait(heard, 10_000, 0.5) if "probe" not in m["data"])
     # the programs of one network hear each other, themselves among them
     assert got == sorted(from_hubs + from_program)

@@ -67,7 +67,7 @@ class Peer(Process):
         """Publish one message, given by its fields; ``times`` in a row."""
         self.ask("publish", id=endpoint, message=message, times=times)
 
-    def wait(self, endpoint: int, count: int, seconds: float = 10.0, since: int = 0) -> list[dict[str, Any]]:
+    def wait(self, endpoint: int, count: int, seconds: float = 40.0, since: int = 0) -> list[dict[str, Any]]:
         """All messages so far but the first ``since``, once ``count`` have come or the time is over."""
         answer = self.ask("wait", id=endpoint, count=count, seconds=seconds, since=since)
         messages: list[dict[str, Any]] = answer["messages"]

@@ -147,5 +147,5 @@ class Actions:
         if key not in self.clients:
             self.clients[key] = actionlib.ActionClient(key[0], part(key[1], "Action"))
         client = self.clients[key]
-        assert client.wait_for_server(Duration(params.get("seconds", 20.0))), f"no server of {key[0]}"
+        assert client.wait_for_server(Duration(params.get("seconds", 40.0))), f"no server of {key[0]}"
         return Goal(client, self.fill(part(key[1], "Goal")(), params.get("goal") or {}), self.plain)

@@ -239,7 +239,7 @@ class Peer:
         self.endpoints[id].release()
         return {}
 
-    def do_requests(self, id, count=1, seconds=20.0, **_):
+    def do_requests(self, id, count=1, seconds=40.0, **_):
         return {"requests": self.endpoints[id].wait(count, seconds)}
 
     def do_call(self, service, type, request=None, persistent=False, **_):
@@ -251,26 +251,26 @@ class Peer:
             self.proxies[service] = proxy
         return self.add(Calling(proxy, fill(cls._request_class(), request or {})))
 
-    def do_result(self, id, seconds=20.0, **_):
+    def do_result(self, id, seconds=40.0, **_):
         return self.endpoints[id].result(seconds)
 
     def do_act(self, **params):
         return self.add(self.actions.act(params))
 
-    def do_goals(self, id, count=1, seconds=20.0, **_):
+    def do_goals(self, id, count=1, seconds=40.0, **_):
         return {"goals": self.endpoints[id].wait(count, seconds)}
 
     def do_send_goal(self, **params):
         return self.add(self.actions.send_goal(params))
 
-    def do_goal(self, id, until=None, seconds=20.0, **_):
+    def do_goal(self, id, until=None, seconds=40.0, **_):
         return self.endpoints[id].wait(until or {}, seconds)
 
     def do_cancel(self, id, **_):
         self.endpoints[id].cancel()
         return {}
 
-    def do_await_service(self, service, seconds=20.0, **_):
+    def do_await_service(self, service, seconds=40.0, **_):
         rospy.wait_for_service(service, seconds)
         return {}
 

@@ -277,7 +277,7 @@ class Calls:
         type_ = found(params["type"], "srv")
         requests = params.get("requests") or [params.get("request") or {}]
         client = self.client(params)
-        assert client.wait_for_service(params.get("seconds", 20.0)), f"no server of {params['service']}"
+        assert client.wait_for_service(params.get("seconds", 40.0)), f"no server of {params['service']}"
         return Calling(client, [self.fill(type_.Request(), fields) for fields in requests], self.plain)
 
     def send_goal(self, params: dict[str, Any]) -> Goal:
@@ -287,7 +287,7 @@ class Calls:
             parts = depths(self.profile(params), "goal_service", "result_service", "cancel_service", "feedback_sub")
             self.action_clients[key] = ActionClient(self.node, type_, key[0], **parts)
         client = self.action_clients[key]
-        assert client.wait_for_server(params.get("seconds", 20.0)), f"no server of {params['action']}"
+        assert client.wait_for_server(params.get("seconds", 40.0)), f"no server of {params['action']}"
         return Goal(self.node, client, self.fill(type_.Goal(), params.get("goal") or {}), self.plain)
 
     def act(self, params: dict[str, Any]) -> Acting:

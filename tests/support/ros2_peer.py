@@ -159,7 +159,7 @@ class Peer:
         return self._add(self.calls.serve(params))
 
     def requests(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"requests": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 20.0))}
+        return {"requests": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 40.0))}
 
     def release(self, params: dict[str, Any]) -> dict[str, Any]:
         self.endpoints[params["id"]].release()
@@ -169,14 +169,14 @@ class Peer:
         return self._add(self.calls.call(params))
 
     def result(self, params: dict[str, Any]) -> dict[str, Any]:
-        found: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 20.0))
+        found: dict[str, Any] = self.endpoints[params["id"]].result(params.get("seconds", 40.0))
         return found
 
     def act(self, params: dict[str, Any]) -> dict[str, Any]:
         return self._add(self.calls.act(params))
 
     def goals(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"goals": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 20.0))}
+        return {"goals": self.endpoints[params["id"]].wait(params.get("count", 1), params.get("seconds", 40.0))}
 
     def send_goal(self, params: dict[str, Any]) -> dict[str, Any]:
         return self._add(self.calls.send_goal(params))
@@ -190,7 +190,7 @@ class Peer:
         return {}
 
     def goal(self, params: dict[str, Any]) -> dict[str, Any]:
-        return dict(self.endpoints[params["id"]].wait(params.get("until") or {}, params.get("seconds", 20.0)))
+        return dict(self.endpoints[params["id"]].wait(params.get("until") or {}, params.get("seconds", 40.0)))
 
     def drop(self, params: dict[str, Any]) -> dict[str, Any]:
         endpoint = self.endpoints.pop(params["id"])

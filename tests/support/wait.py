@@ -9,7 +9,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-def until(condition: Callable[[], T], what: str, seconds: float = 20.0, every: float = 0.02) -> T:
+def until(condition: Callable[[], T], what: str, seconds: float = 40.0, every: float = 0.02) -> T:
     """Return the condition's first true value; fail with ``what`` after ``seconds``."""
     end = time.monotonic() + seconds
     while True:

@@ -201,7 +201,7 @@ class ZenohPeer:
         return {"id": self._add(serving), "hash": serving.endpoint.type_hash}
 
     def requests(self, params: dict[str, Any]) -> dict[str, Any]:
-        return {"requests": self._endpoints[params["id"]].requests(params.get("count", 1), params.get("seconds", 20.0))}
+        return {"requests": self._endpoints[params["id"]].requests(params.get("count", 1), params.get("seconds", 40.0))}
 
     def release(self, params: dict[str, Any]) -> dict[str, Any]:
         self._endpoints[params["id"]].released.set()
@@ -214,7 +214,7 @@ class ZenohPeer:
         return {"id": self._add(Calling(client, params.get("request") or {}))}
 
     def result(self, params: dict[str, Any]) -> dict[str, Any]:
-        result: dict[str, Any] = self._endpoints[params["id"]].result(params.get("seconds", 20.0))
+        result: dict[str, Any] = self._endpoints[params["id"]].result(params.get("seconds", 40.0))
         return result
 
     def topic_info(self, params: dict[str, Any]) -> dict[str, Any]:

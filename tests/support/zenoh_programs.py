@@ -115,9 +115,9 @@ class Program:
     def until_heard_of(self, endpoint: int) -> None:
         """Wait until somebody subscribes to what a publisher says."""
         publisher = self._things[endpoint][2][-1]
-        until(lambda: publisher.matching_status.matching, "somebody subscribes", 20)
+        until(lambda: publisher.matching_status.matching, "somebody subscribes")
 
-    def wait(self, endpoint: int, count: int, seconds: float = 10.0) -> list[Any]:
+    def wait(self, endpoint: int, count: int, seconds: float = 40.0) -> list[Any]:
         with self._changed:
             self._changed.wait_for(lambda: len(self.heard[endpoint]) >= count, seconds)
             return list(self.heard[endpoint])

@@ -86,7 +86,7 @@ class Serving:
         with query:
             query.reply(query.key_expr, data)
 
-    def requests(self, count: int = 1, seconds: float = 20.0) -> list[Any]:
+    def requests(self, count: int = 1, seconds: float = 40.0) -> list[Any]:
         with self.arrived:
             self.arrived.wait_for(lambda: len(self.taken) >= count or self.ended, seconds)
             return list(self.taken)

@@ -174,7 +174,7 @@ class Peer:
     def do_server(self, name, type="actionlib/Test", simple=False, **_):
         return self.add((Simple if simple else Server)(name, type))
 
-    def do_goals(self, id, count=1, seconds=20.0, **_):
+    def do_goals(self, id, count=1, seconds=40.0, **_):
         end = time.monotonic() + seconds
         while len(self.parts[id].seen) < count and time.monotonic() < end:
             time.sleep(0.01)
@@ -198,7 +198,7 @@ class Peer:
     def do_client(self, name, type="actionlib/Test", **_):
         return self.add(Client(name, type))
 
-    def do_wait_for_server(self, id, seconds=20.0, **_):
+    def do_wait_for_server(self, id, seconds=40.0, **_):
         return {"there": self.parts[id].client.wait_for_server(rospy.Duration(seconds))}
 
     def do_send(self, id, numbers, **_):
@@ -206,7 +206,7 @@ class Peer:
             self.parts[id].send(number, number)
         return {}
 
-    def do_outcomes(self, id, numbers, seconds=20.0, state="DONE", **_):
+    def do_outcomes(self, id, numbers, seconds=40.0, state="DONE", **_):
         """What became of goals, once each is in a state of the client's or the time is over."""
         client = self.parts[id]
         with client.ready:

@@ -185,7 +185,7 @@ class Program:
     def do_begin(self, id: int, request: str, number: int = 0) -> dict[str, Any]:
         return {"seconds": self.handles[id].begin(number, base64.b64decode(request))}
 
-    def do_results(self, id: int, count: int = 1, seconds: float = 20.0) -> dict[str, Any]:
+    def do_results(self, id: int, count: int = 1, seconds: float = 40.0) -> dict[str, Any]:
         return {"results": {str(k): v for k, v in self.handles[id].wait(count, seconds).items()}}
 
     def do_abandon(self, id: int, number: int = 0) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from tests.support.wait import until
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = Path(__file__).with_name("edge_program.py")
+AT_ONCE = 4.0
+"""Seconds: twice what `Edge.start` and `Edge.stop` take at most, for a machine that is busy."""
 
 
 def string(text: str) -> str:
@@ -68,7 +70,7 @@ class EdgeUnderTest(Peer):
         (found,) = until(lambda: self.endpoints(**like), f"an endpoint {like}")
         return found
 
-    def received(self, subscription: int, count: int, seconds: float = 10.0) -> list[tuple[str, str]]:
+    def received(self, subscription: int, count: int, seconds: float = 40.0) -> list[tuple[str, str]]:
         """Payloads and sources so far, once ``count`` have come or the time is over."""
         return [(p, s) for p, s, _ in self.ask("wait", id=subscription, count=count, seconds=seconds)["messages"]]
 

@@ -37,7 +37,7 @@ class Pair:
         for sock in (self.socket, self.subscriber):
             sock.close()
         if self.outlet._thread is not None:
-            self.outlet._thread.join(10)
+            self.outlet._thread.join(40)
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_closing_ends_the_thread_of_a_stuck_one(pair):
     assert pair.outlet._thread is not None
     pair.outlet.close()
     pair.socket.shutdown(socket.SHUT_RDWR)
-    pair.outlet._thread.join(10)
+    pair.outlet._thread.join(40)
     assert not pair.outlet._thread.is_alive()
     assert not pair.outlet.send(b"x", "a", 2)
 

@@ -181,7 +181,7 @@ class Client:
         self._clients = {
             word: hub.client(f"{node}/{word}", codec.type.name, codec.type.type_id) for word, codec in CODECS.items()
         }
-        until(lambda: all(client.ready for client in self._clients.values()), f"{node} is on the hub", 20)
+        until(lambda: all(client.ready for client in self._clients.values()), f"{node} is on the hub")
 
     def call(self, word: str, **request: Any) -> Any:
         done, results = threading.Event(), []
@@ -228,7 +228,7 @@ def test_ros1s_parameters_are_those_of_a_node(master: RosMaster, hubs: tuple[Hub
         (3, False, "ROS 1 parameter /own/speed"),
         (2, True, "ROS 1 parameter /own_one"),
     ]
-    until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is told", 20)
+    until(lambda: any("/own/odd" in warning for warning in parameters.warnings()), "the odd list is told")
     assert parameters.details()[0] == {"ros1": "/own", "node": "/ns/own_node", "owner": "ros1", "shared": 4}
 
 
@@ -272,11 +272,11 @@ def test_changes_of_ros1s_parameters_are_events(master: RosMaster, hubs: tuple[H
         master.call("setParam", "/told/changes", master.call("getParam", "/told/changes") + 1)
         return any(one["name"] == "changes" for event in heard for one in event["changed_parameters"])
 
-    until(changed, "the change is told", 20, 0.5)
+    until(changed, "the change is told", every=0.5)
     master.call("deleteParam", "/told/goes")
     master.call("setParam", "/told/comes", "new")
-    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the end is told", 20)
-    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new", 20)
+    until(lambda: [n["name"] for e in heard for n in e["deleted_parameters"]] == ["goes"], "the end is told")
+    until(lambda: [n["value"]["string_value"] for e in heard for n in e["new_parameters"]] == ["new"], "the new")
     assert {event["node"] for event in heard} == {"/told_node"}
 
 
@@ -336,12 +336,12 @@ def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub,
     master.call("setParam", "/kept", {"mine": 1, "speed": 99.0})
     parameters = share(rule("ros2", "/kept", "/kept_node", prefix="FollowPath"))
     want = {"mine": 1, "speed": 1.5, "inner": {"frame": "odom"}}
-    until(lambda: master.call("getParam", "/kept") == want, "the node's values are in ROS 1", 20)
+    until(lambda: master.call("getParam", "/kept") == want, "the node's values are in ROS 1")
     assert any("/kept/huge: ROS 1 has no integer" in warning for warning in parameters.warnings())
     node.values["FollowPath.speed"] = Value(Kind.DOUBLE, 2.5)
-    until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1", 20)
+    until(lambda: master.call("getParam", "/kept/speed") == 2.5, "the node's change is in ROS 1")
     del node.values["FollowPath.inner.frame"]
-    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "what it no longer has is gone", 20)
+    until(lambda: master.call("getParam", "/kept/inner/frame") is None, "what it no longer has is gone")
     assert node.set == []
     parameters.stop()
     assert master.call("getParam", "/kept").keys() <= {"mine", "inner"}
@@ -351,15 +351,15 @@ def test_a_nodes_parameters_are_kept_in_ros1(master: RosMaster, hubs: tuple[Hub,
 def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/asked_node", speed=Value(Kind.DOUBLE, 1.5), mode=Value(Kind.STRING, "slow"))
     parameters = share(rule("ros2", "/asked", "/asked_node"))
-    until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both are in ROS 1", 20)
+    until(lambda: master.call("getParam", "/asked") == {"speed": 1.5, "mode": "slow"}, "both are in ROS 1")
     master.call("setParam", "/asked/speed", 3)
     parameters.changed()
-    until(lambda: node.values["speed"] == Value(Kind.DOUBLE, 3.0), "the node has ROS 1's value", 20)
+    until(lambda: node.values["speed"] == Value(Kind.DOUBLE, 3.0), "the node has ROS 1's value")
     node.refuses = {"mode"}
     master.call("setParam", "/asked/mode", "fast")
-    until(lambda: master.call("getParam", "/asked/mode") == "slow", "what it refused is put back", 20)
+    until(lambda: master.call("getParam", "/asked/mode") == "slow", "what it refused is put back")
     assert ("mode", "fast") in node.set
-    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "it is told", 20)
+    until(lambda: any("refused 'fast': not now" in one for one in parameters.warnings()), "it is told")
     assert parameters.details() == [{"ros1": "/asked", "node": "/asked_node", "owner": "ros2", "shared": 2}]
 
 
@@ -367,9 +367,9 @@ def test_ros1_sets_a_nodes_parameters(master: RosMaster, hubs: tuple[Hub, Hub], 
 def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/read_node", speed=Value(Kind.DOUBLE, 1.5))
     share(rule("ros2", "/read_only", "/read_node", write=False))
-    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1", 20)
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is in ROS 1")
     master.call("setParam", "/read_only/speed", 3.0)
-    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is put back", 20)
+    until(lambda: master.call("getParam", "/read_only/speed") == 1.5, "it is put back")
     assert node.set == []
 
 
@@ -377,12 +377,12 @@ def test_what_is_not_to_be_written_is_put_back(master: RosMaster, hubs: tuple[Hu
 def test_nothing_is_kept_for_a_node_that_is_away(master: RosMaster, hubs: tuple[Hub, Hub], share: Share):
     node = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 1.5))
     parameters = share(rule("ros2", "/away", "/away_node"))
-    until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1", 20)
+    until(lambda: master.call("getParam", "/away/speed") == 1.5, "it is in ROS 1")
     node.close()
-    until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone", 20)
+    until(lambda: parameters.details()[0]["shared"] == 0, "the node is gone")
     master.call("setParam", "/away/speed", 9.0)
     again = Node(hubs[1], "/away_node", speed=Value(Kind.DOUBLE, 2.0))
-    until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts", 20)
+    until(lambda: master.call("getParam", "/away/speed") == 2.0, "the node's value counts")
     assert again.set == []
 
 
@@ -395,12 +395,12 @@ def test_a_master_that_goes_takes_the_node_with_it(hubs: tuple[Hub, Hub]):
         try:
             assert Client(hubs[1], "/gone_node").get("speed") == [1.0]
             master.stop()
-            until(lambda: not hubs[1].graph.servers("/gone_node/get_parameters"), "the node is gone", 20)
+            until(lambda: not hubs[1].graph.servers("/gone_node/get_parameters"), "the node is gone")
             assert any("cannot be asked" in warning for warning in parameters.warnings())
             master.start()
             master.call("setParam", "/gone/speed", 2.0)
             assert Client(hubs[1], "/gone_node").get("speed") == [2.0]
-            until(lambda: parameters.warnings() == [], "all is well again", 20)
+            until(lambda: parameters.warnings() == [], "all is well again")
         finally:
             parameters.stop()
 
@@ -416,4 +416,4 @@ def test_who_stands_by_shares_nothing(master: RosMaster, hubs: tuple[Hub, Hub], 
     active.set()
     assert Client(hubs[1], "/standing_node").get("speed") == [1.0]
     active.clear()
-    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is gone again", 20)
+    until(lambda: not hubs[1].graph.servers("/standing_node/get_parameters"), "it is gone again")

@@ -41,7 +41,7 @@ class Connection:
     def finish(self) -> list[bytes]:
         """All messages, once the publisher has gone."""
         self.publisher.close()
-        assert self.over.wait(10)
+        assert self.over.wait(40)
         return self.messages
 
 
@@ -51,7 +51,7 @@ def connection():
     yield made
     made.reader.close()
     made.publisher.close()
-    made.reader._thread.join(10)
+    made.reader._thread.join(40)
 
 
 def frame(payload):
@@ -95,7 +95,7 @@ def test_a_message_cut_short_is_not_delivered(connection):
 def test_a_message_that_is_too_long_ends_the_connection(connection, monkeypatch):
     monkeypatch.setattr(module, "MAX_MESSAGE", 1000)
     connection.publisher.sendall(frame(b"a" * 1000) + struct.pack("<I", 1001))
-    assert connection.over.wait(10)
+    assert connection.over.wait(40)
     assert connection.messages == [b"a" * 1000]
     assert "1001 bytes" in connection.trouble
     assert connection.refusals == [("bad", connection.trouble)]
@@ -134,6 +134,6 @@ def test_nothing_is_told_after_close(connection):
     connection.reader.close()
     with contextlib.suppress(OSError):
         connection.publisher.sendall(frame(b"late"))
-    connection.reader._thread.join(10)
+    connection.reader._thread.join(40)
     assert not connection.over.is_set()
     assert connection.messages == []

@@ -79,7 +79,7 @@ class Ends:
 
     def wait(self, count: int = 1) -> list[bytes | CallError]:
         with self._ready:
-            assert self._ready.wait_for(lambda: len(self.all) >= count, 20), f"{len(self.all)} of {count}"
+            assert self._ready.wait_for(lambda: len(self.all) >= count, 40), f"{len(self.all)} of {count}"
             return list(self.all)
 
     def error(self) -> str:
@@ -112,7 +112,7 @@ class Bench:
         return ends
 
     def warm(self) -> None:
-        until(lambda: self.look() or self.caller._free, "a connection is kept open", 20)
+        until(lambda: self.look() or self.caller._free, "a connection is kept open")
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_calls_one_after_the_other_share_a_connection(bench):
         bench.warm()
         for n in range(50):
             assert bench.call(f"call {n}".encode()).wait() == [f"call {n}".encode()[::-1]]
-            until(lambda: bench.caller._free, "it is free again", 20, 0.001)
+            until(lambda: bench.caller._free, "it is free again", every=0.001)
         (header,) = server.connections
         assert header == {
             "callerid": "/me", "service": "/serve", "md5sum": "5e7e", "persistent": "1", "tcp_nodelay": "1"
@@ -167,7 +167,7 @@ def test_a_slow_call_blocks_no_other(bench):
         go_on.set()
         assert all(ends.wait() == [b"slow"] for ends in slow)
         assert len(server.connections) < 60, "connections are used again"
-        until(lambda: len(bench.caller._lines) <= 8, "few are kept when there is nothing to do", 20)
+        until(lambda: len(bench.caller._lines) <= 8, "few are kept when there is nothing to do")
 
 
 def test_a_reply_in_pieces(bench):
@@ -243,7 +243,7 @@ def test_the_death_of_a_server_is_known_without_a_call(bench):
         bench.toward(address)
         bench.warm()
         assert not bench.doubts
-    link, trouble = until(lambda: bench.look() or bench.doubts, "it is doubted", 20)[0]
+    link, trouble = until(lambda: bench.look() or bench.doubts, "it is doubted")[0]
     assert (link.node, link.uri) == ("/server", f"rosrpc://{address[0]}:{address[1]}")
     assert "refused" in trouble
 
@@ -328,7 +328,7 @@ def test_the_caller_left(bench):
         abandon = bench.caller.call(b"long", ends)
         assert arrived.wait(20)
         abandon()
-        until(lambda: gone == [b""], "the server sees that the caller has left", 20)
+        until(lambda: gone == [b""], "the server sees that the caller has left")
         answer.set()
         abandon()
         assert bench.call(b"next").wait() == [b"late"]
@@ -362,7 +362,7 @@ def test_too_many_calls(bench):
         for abandon in under_way:
             abandon()
         assert not ends.all
-        until(lambda: not bench.caller._lines or bench.caller._free, "their connections go", 20)
+        until(lambda: not bench.caller._lines or bench.caller._free, "their connections go")
 
 
 def test_closing_ends_what_is_under_way(bench):
@@ -381,7 +381,7 @@ def test_closing_ends_what_is_under_way(bench):
         bench.caller.close()
         assert ends.error() == "/serve does not cross any more"
         assert bench.call().error() == "/serve does not cross any more"
-        until(lambda: not bench.caller._lines, "all connections are closed", 20)
+        until(lambda: not bench.caller._lines, "all connections are closed")
 
 
 def test_a_large_request_to_one_that_does_not_read(bench):
@@ -418,7 +418,7 @@ def test_without_descriptors(bench):
         bench.warm()
         with no_descriptors():
             assert bench.call().wait() == [b"cba"], "the open connection is enough"
-            until(lambda: bench.caller._free, "it is free again", 20, 0.001)
+            until(lambda: bench.caller._free, "it is free again", every=0.001)
             held = bench.caller._take()
             assert "no file descriptor" in bench.call().error()
         assert not bench.doubts, "that says nothing of the server"

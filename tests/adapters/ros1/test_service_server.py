@@ -42,7 +42,7 @@ class Handler:
         return lambda: self.abandoned.append(number)
 
     def wait(self, count: int) -> None:
-        until(lambda: len(self.dones) >= count, f"{count} requests have come", 20, 0.001)
+        until(lambda: len(self.dones) >= count, f"{count} requests have come", every=0.001)
 
 
 class Bench:
@@ -128,7 +128,7 @@ def test_one_call_a_connection(bench):
     }  # fmt: skip
     assert client.call(b"abc") == (1, b"cba")
     assert client.ended()
-    until(lambda: not bench.server._clients, "nothing is left of it", 20)
+    until(lambda: not bench.server._clients, "nothing is left of it")
 
 
 def test_a_persistent_connection(bench):
@@ -252,7 +252,7 @@ def test_a_client_that_only_claims(bench):
     cut_short.sock.sendall(struct.pack("<I", LIMIT) + b"start")
     cut_short.sock.close()
     assert bench.open().call(b"ab") == (1, b"ba")
-    until(lambda: len(bench.server._clients) == 2, "the cut one is gone", 20)
+    until(lambda: len(bench.server._clients) == 2, "the cut one is gone")
     assert bench.handler.requests == [b"ab"]
 
 
@@ -263,8 +263,8 @@ def test_a_client_that_leaves_abandons_its_call(bench, persistent):
     client.send(b"long")
     bench.handler.wait(1)
     client.sock.close()
-    until(lambda: bench.handler.abandoned == [0], "the call is abandoned", 20)
-    until(lambda: not bench.server._clients, "nothing is left of it", 20)
+    until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
+    until(lambda: not bench.server._clients, "nothing is left of it")
     bench.handler.dones[0](b"late")
     bench.handler.at_once = True
     assert bench.open().call(b"ab") == (1, b"ba")
@@ -277,7 +277,7 @@ def test_a_client_that_leaves_with_more_to_say(bench):
     bench.handler.wait(1)
     client.send(b"more")
     client.sock.close()
-    until(lambda: bench.handler.abandoned == [0], "the call is abandoned", 20)
+    until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
     assert bench.handler.requests == [b"long"]
 
 
@@ -294,7 +294,7 @@ def test_a_client_that_does_not_read(bench):
     assert other.reply() == (1, b"quick"), "nobody waits for it"
     assert deaf.reply() == (1, bytes(large)), "when it reads at last, it gets all"
     leaver.sock.close()
-    until(lambda: len(bench.server._clients) == 2, "it is gone", 20)
+    until(lambda: len(bench.server._clients) == 2, "it is gone")
     bench.handler.at_once = True
     assert deaf.call(b"ab") == (1, b"ba")
 
@@ -331,7 +331,7 @@ def test_too_many_clients(bench, monkeypatch):
     clients = [bench.open() for _ in range(5)]
     assert "has 5 clients already" in bench.connect()[1]["error"]
     clients.pop().sock.close()
-    until(lambda: len(bench.server._clients) == 4, "one has left", 20)
+    until(lambda: len(bench.server._clients) == 4, "one has left")
     assert bench.open().call(b"ab") == (1, b"ba")
 
 

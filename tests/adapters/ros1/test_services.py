@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.adapters.ros1.parts import edge_on
+from tests.adapters.ros1.parts import AT_ONCE, edge_on
 from tests.adapters.ros1.servers import tcp_server, until_closed
 from tests.support.ros1 import RosMaster, needs_ros1
 from tests.support.wait import until
@@ -52,7 +52,7 @@ def caller_of(edge, name, type_=SET_BOOL):
 
 
 def call(edge, caller, number=0, request=ON):
-    assert edge.ask("begin", id=caller, request=request, number=number)["seconds"] < 1.0, "it never blocks"
+    assert edge.ask("begin", id=caller, request=request, number=number)["seconds"] < AT_ONCE, "it never blocks"
 
 
 def ends(edge, caller, count=1):
@@ -329,7 +329,7 @@ def test_a_clean_stop_ends_calls_and_leaves_nothing(master, tmp_path):
             requests_at(edge, served, 1)
             caller = caller_of(edge, "/stays")
             call(edge, caller)
-            assert edge.ask("stop")["seconds"] < 2.0, "the promise of Edge.stop"
+            assert edge.ask("stop")["seconds"] < AT_ONCE, "the promise of Edge.stop"
             assert "/stopped is served no more" in peer.ask("result", id=asked)["error"]
             assert edge.ask("calls", id=served)["abandoned"] == [0]
             assert ends(edge, caller) == {"0": ["error: /stays does not cross any more"]}

@@ -47,12 +47,12 @@ class Ends:
             self.all.append(result)
             self._turn.notify_all()
 
-    def wait(self, count: int = 1, seconds: float = 30.0) -> list[bytes | CallError]:
+    def wait(self, count: int = 1, seconds: float = 40.0) -> list[bytes | CallError]:
         with self._turn:
             assert self._turn.wait_for(lambda: len(self.all) >= count, seconds), f"{len(self.all)} of {count} ended"
             return list(self.all)
 
-    def replies(self, count: int = 1, seconds: float = 30.0) -> list[bytes]:
+    def replies(self, count: int = 1, seconds: float = 40.0) -> list[bytes]:
         """So many replies; fails where a call ended with an error."""
         found = self.wait(count, seconds)
         return [reply for reply in found if isinstance(reply, bytes) or fail(reply)]
@@ -87,7 +87,7 @@ class Asked:
             self.abandoned += 1
             self._turn.notify_all()
 
-    def wait(self, count: int = 1, seconds: float = 30.0) -> list[tuple[bytes, Done]]:
+    def wait(self, count: int = 1, seconds: float = 40.0) -> list[tuple[bytes, Done]]:
         with self._turn:
             assert self._turn.wait_for(lambda: len(self.requests) >= count, seconds), f"{len(self.requests)} came"
             return list(self.requests)

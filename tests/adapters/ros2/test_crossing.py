@@ -116,7 +116,7 @@ class Ways:
             native.advertise("/x/in", "std_msgs/String"),
         )
 
-    def cross(self, data: str = "x", seconds: float = 10.0) -> None:
+    def cross(self, data: str = "x", seconds: float = 40.0) -> None:
         """Send until this text has come out on both sides."""
 
         def both() -> bool:
@@ -128,7 +128,7 @@ class Ways:
         until(both, "messages both ways", seconds)
 
 
-def crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 10.0) -> None:
+def crosses(edge: Peer, native: Peer, data: str = "x", seconds: float = 40.0) -> None:
     """Messages go both ways between an edge and a native program."""
     Ways(edge, native).cross(data, seconds)
 
@@ -251,7 +251,7 @@ def test_clean_stop_leaves_nothing_in_shared_memory(programs: Programs) -> None:
     assert made
     assert edge.popen.stdin is not None
     edge.popen.stdin.close()
-    assert edge.popen.wait(5) == 0
+    assert edge.popen.wait(40) == 0
     assert not [path for path in made if path.exists()]
 
 

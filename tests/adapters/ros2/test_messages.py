@@ -78,7 +78,7 @@ def test_large_messages(edge: RunningEdge, peer: Callable[..., Peer], size: int)
         ours.send(payload, "hub")
         return bool(inbox.messages) and bool(native.wait(subscription, 1, 0.5))
 
-    until(both, "large messages both ways", 20)
+    until(both, "large messages both ways")
     assert len(inbox.messages[0][0]) == size + 9
     assert native.wait(subscription, 1)[0]["data"] == "x" * size
 

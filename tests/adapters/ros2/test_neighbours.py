@@ -45,13 +45,13 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
     monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", 0.01)
     watches: list[neighbours.Neighbours] = []
 
-    def found(*participants: bytes, then: tuple[bytes, ...] | None = None) -> bool:
+    def found(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
         told = threading.Event()
         watch = neighbours.Neighbours(OWN, told.set, table.folder)
         watches.append(watch)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
-        return told.wait(0.3)
+        return told.wait(seconds)
 
     yield found
     for watch in watches:
@@ -60,7 +60,7 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 def test_who_can_share_our_memory(table: Table, strangers: Callable[..., bool]) -> None:
     table.add(70000)
-    assert not strangers(prefix(70000), OWN)
+    assert not strangers(prefix(70000), OWN, seconds=0.3)
 
 
 def test_no_process_of_ours_is_a_stranger(strangers: Callable[..., bool]) -> None:
@@ -90,11 +90,11 @@ def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
 
 
 def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
-    assert not strangers(prefix(4711), then=())
+    assert not strangers(prefix(4711), then=(), seconds=0.3)
 
 
 def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:
-    assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN)
+    assert not strangers(prefix(1, b"\x01\x0f\x99\x99"), new_prefix(HOST), OWN, seconds=0.3)
 
 
 def test_note_holds_until_the_next_boot(tmp_path: Path) -> None:

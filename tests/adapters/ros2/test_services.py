@@ -130,7 +130,7 @@ def test_killed_server_ends_its_calls_at_once(edge: RunningEdge, peer: Peers, se
     native.ask("requests", id=held)
     native.signal(signal.SIGKILL)
     native.popen.wait()
-    (end,) = ends.wait(seconds=10)
+    (end,) = ends.wait(seconds=18)
     assert isinstance(end, CallError)
     caller.call(set_bool.request(), late.done)
     assert "has no server" in late.error()
@@ -218,7 +218,7 @@ def test_last_words_of_a_server_reach_its_clients(edge: RunningEdge, peer: Peers
         done(last)
         server.close()
     for called, _, _ in servers:
-        assert native.ask("result", id=called, seconds=10)["reply"] == {"success": False, "message": "last words"}
+        assert native.ask("result", id=called, seconds=40)["reply"] == {"success": False, "message": "last words"}
 
 
 def test_replies_out_of_order(edge: RunningEdge, peer: Peers, echo: Service) -> None:
@@ -256,7 +256,7 @@ def test_client_that_leaves_abandons_its_calls(edge: RunningEdge, peer: Peers, s
     until(lambda: asked.abandoned == 1, "the call of the client that left to be abandoned")
     killed.signal(signal.SIGKILL)
     killed.popen.wait()
-    until(lambda: asked.abandoned == 2, "the call of the killed client to be abandoned", 15)
+    until(lambda: asked.abandoned == 2, "the call of the killed client to be abandoned", 18)
     for _, done in asked.requests:
         done(set_bool.response())
 

@@ -101,7 +101,7 @@ class Place:
 
     def until_route(self, side: str, topic: str, direction: str) -> dict[str, Any]:
         """Wait for a route."""
-        found = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", 20, every=0.1)
+        found = until(lambda: self.route(side, topic, direction), f"{side} routes {topic} {direction}", every=0.1)
         assert found is not None
         return found
 
@@ -147,4 +147,4 @@ def cross(sender: Any, out: int, hearer: Any, heard: int, message: dict[str, Any
         sender.publish(out, message)
         return hearer.wait(heard, 1, 0.2)
 
-    return until(once, "a message crosses", 20)[0]
+    return until(once, "a message crosses")[0]

@@ -183,14 +183,14 @@ def test_services_by_a_get(place: Place) -> None:
     queryable.undeclare()
     place.far.serve("/beep", "std_srvs/Trigger", reply=on)
     arm = place.far.serve("/arm", "std_srvs/SetBool", error="the arm is stuck")
-    replies = until(lambda: program.get("robot/beep"), "its reply", 20, every=0.1)
+    replies = until(lambda: program.get("robot/beep"), "its reply", every=0.1)
     assert replies == [(on, "application/json")]
     place.until_route(SIDE, "/arm", "out")
 
     def errors(payload: bytes | None) -> str:
         return "".join(r.err.payload.to_bytes().decode() for r in program.session.get("robot/arm", payload=payload))
 
-    assert until(lambda: errors(b'{"data": true}'), "an error", 20) == "the arm is stuck"
+    assert until(lambda: errors(b'{"data": true}'), "an error") == "the arm is stuck"
     assert "did you mean 'data'" in errors(b'{"dat": true}')
     assert "has no payload" in errors(None)
     assert arm.requests() == [{"data": True}]

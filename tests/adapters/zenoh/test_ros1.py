@@ -125,7 +125,7 @@ def test_all_midspans_leave_the_same_pauses(place: Place) -> None:
         return first._own[what].due > due
 
     try:
-        until(rests, "the first rests when the second beacons", 20)
+        until(rests, "the first rests when the second beacons")
     finally:
         first.close()
         second.close()
@@ -242,16 +242,16 @@ def test_services_byte_for_byte(place: Place) -> None:
     assert bridge.ask("requests", id=served)["requests"] == [{"structure_needs_at_least_one_member": 0}]
     serving = place.far.serve("/out", set_bool, reply=yes)
     key = "7374645f737276732f536574426f6f6c/09fb03525b03e7ea1fd3992bafd87e16/*/out"
-    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon", 20)
+    until(lambda: f"ros1_discovery_info/*/srv/{key}" in bridge.beacons(), "our beacon")
     for asker in (bridge, named):
         its = key.replace("*", asker._namespace)
-        reply = until(lambda k=its, a=asker: list(a.session.get(k, payload=b"\1", timeout=20.0)), "a reply", 20)[0]
+        reply = until(lambda k=its, a=asker: list(a.session.get(k, payload=b"\1", timeout=20.0)), "a reply")[0]
         assert reply.ok.payload.to_bytes() == b"\1" + HI
     assert serving.requests(2) == [{"data": True}] * 2
     for bad in (b"", b"\1\1"):
         assert "is not what its type says" in bridge.call("/out", set_bool, bad).result()["error"]
     bridge.drop(served)
-    until(lambda: not place.far.hub.graph.servers("/in"), "it is gone", 20)
+    until(lambda: not place.far.hub.graph.servers("/in"), "it is gone")
 
 
 def test_services_of_actions_stay_away(place: Place) -> None:
@@ -259,6 +259,6 @@ def test_services_of_actions_stay_away(place: Place) -> None:
     bridge = place.ros1()
     place.bridge({"dialect": "ros1"})
     place.node.action_server("/lookup", "tf2_msgs/action/LookupTransform", lambda _goal: True)
-    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "it is decided", 20, every=0.1)
+    lines = until(lambda: place.explain(SIDE, "/lookup/_action/send_goal"), "it is decided", every=0.1)
     assert "actions" in lines[0]["why"]
     assert not [key for key in bridge.beacons() if "_action" in key]

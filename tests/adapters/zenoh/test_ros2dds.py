@@ -181,7 +181,7 @@ def test_static_transforms_of_several_nodes_behind_one_bridge(place: Place) -> N
         place.far.drop(heard)
         return sorted(t["child_frame_id"] for t in got[-1]["transforms"]) if got else []
 
-    until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms", 15)
+    until(lambda: frames() == ["camera", "imu", "laser"], "all static transforms")
 
 
 def test_a_publisher_that_numbers_its_samples(place: Place) -> None:

@@ -103,13 +103,13 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
         place.until_route(SIDE, f"/lookup/_action/{part}", "out")
 
     def answered(part: str, request: dict[str, Any]) -> Any:
-        return until(lambda: client.ask(part, request).result()["reply"], f"a reply of {part}", 20)
+        return until(lambda: client.ask(part, request).result()["reply"], f"a reply of {part}")
 
     assert not answered("send_goal", {"goal": {"target_frame": "no"}, "goal_id": {"uuid": [1] * 16}})["accepted"]
     assert answered("send_goal", {**ID, "goal": {"target_frame": "map"}})["accepted"]
     goal = goals[-1]
     place.on_node(goal.execute)
-    until(lambda: (place.on_node(lambda: goal.feedback({})), client.feedback)[1], "feedback", 20, every=0.1)
+    until(lambda: (place.on_node(lambda: goal.feedback({})), client.feedback)[1], "feedback", every=0.1)
     assert client.feedback[0]["goal_id"] == ID["goal_id"]
     result = client.ask("get_result", ID)
     cancelled = answered("cancel_goal", {"goal_info": ID})
@@ -118,10 +118,10 @@ def test_from_a_client_behind_a_bridge_to_a_server_of_the_hub(place: Place) -> N
     place.on_node(lambda: goal.canceled({"transform": {"child_frame_id": "half way"}}))
     reply = result.result()["reply"]
     assert (reply["status"], reply["result"]["transform"]["child_frame_id"]) == (CANCELED, "half way")
-    until(lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status", 20)
+    until(lambda: client.statuses and client.statuses[-1]["status_list"][-1]["status"] == CANCELED, "the status")
     client.close()
     late = ActionClient(bridge, "/lookup")
-    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "it is kept", 20)
+    until(lambda: late.statuses and late.statuses[-1]["status_list"][-1]["status"] == CANCELED, "it is kept")
     late.close()
 
 
@@ -134,10 +134,10 @@ def test_a_server_of_the_hub_that_leaves(place: Place) -> None:
     until(lambda: bridge.tokens("/lookup", "AS"), "our token", 30)
     for part in ("send_goal", "get_result"):
         place.until_route(SIDE, f"/lookup/_action/{part}", "out")
-    until(lambda: client.ask("send_goal", ID).result()["reply"], "it is taken", 20)
+    until(lambda: client.ask("send_goal", ID).result()["reply"], "it is taken")
     result = client.ask("get_result", ID)
     until(lambda: place.route(SIDE, "/lookup/_action/get_result", "out")["pending"] == 1, "it waits", every=0.1)
     place.close_node()
     assert result.result(30)["reply"]["status"] == Status.ABORTED
-    until(lambda: not bridge.tokens("/lookup", "AS"), "our token goes", 20)
+    until(lambda: not bridge.tokens("/lookup", "AS"), "our token goes")
     client.close()

@@ -23,7 +23,7 @@ REPLY = bytes.fromhex("00010000 01000000 04000000 79657300")
 def until_called(bridge: Ros2ddsBridge, service: str, type_: str = SET) -> None:
     """Call a server of the hub until it answers: its token is seen a moment before zenoh has the way to it."""
     request = {"data": True} if type_ == SET else {}
-    until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the reply", 20, every=0.1)
+    until(lambda: bridge.call(service, type_, request).result()["reply"] == YES, "the reply", every=0.1)
 
 
 def test_out_what_a_bridge_sees(place: Place) -> None:
@@ -32,7 +32,7 @@ def test_out_what_a_bridge_sees(place: Place) -> None:
     place.bridge({"dialect": "ros2dds", "namespace": "/robot1"})
     serving = place.far.serve("/arm/light", SET, reply=YES)
     place.far.serve("/beep", TRIGGER, reply=YES)
-    token = until(lambda: bridge.tokens("/arm/light", "SS"), "our token", 20)[0]
+    token = until(lambda: bridge.tokens("/arm/light", "SS"), "our token")[0]
     zid = token.split("/")[1]
     assert token == f"@/{zid}/@ros2_lv/SS/robot1§arm§light/std_srvs§srv§SetBool"
     until_called(bridge, "/arm/light")
@@ -108,7 +108,7 @@ def test_replies_that_are_none_and_errors(place: Place) -> None:
     assert place.far.call("/do", SET).result()["reply"] == YES
     queryable.undeclare()  # the token lives
     # until zenoh has told that the queryable is gone, the call finds it so by itself
-    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "an error that says why", 20)
+    until(lambda: "no server" in place.far.call("/do", SET).result()["error"], "an error that says why")
     token.undeclare()
 
 
@@ -132,7 +132,7 @@ def test_a_hundred_calls_at_once(place: Place, dialect: str) -> None:
     def known() -> bool:
         return bool(held.requests(1, 0)) or not bridge.call("/held", SET, {"data": True}).ended.wait(0.3)
 
-    until(known, "the way is known", 20)
+    until(known, "the way is known")
     calls = [bridge.call("/held", SET, {"data": False}) for _ in range(100)]
     held.requests(101)
     held.release()
@@ -144,9 +144,9 @@ def test_a_caller_that_left(place: Place) -> None:
     leaver, other = place.ros2dds(), place.ros2dds()
     place.bridge({"dialect": "ros2dds"})
     serving = place.far.serve("/do", SET, reply=YES, held=True)
-    until(lambda: leaver.call("/do", SET, {"data": True}) and serving.requests(1, 0.3), "it is asked", 20)
+    until(lambda: leaver.call("/do", SET, {"data": True}) and serving.requests(1, 0.3), "it is asked")
     asked = len(serving.requests())
-    until(lambda: other.call("/do", SET, {"data": False}) and serving.requests(asked + 1, 0.3)[asked:], "again", 20)
+    until(lambda: other.call("/do", SET, {"data": False}) and serving.requests(asked + 1, 0.3)[asked:], "again")
     waiting = other.call("/do", SET, {"data": False})
     leaver.session.close()
     leaver.session = None
@@ -169,8 +169,8 @@ def test_two_daemons_on_one_network(place: Place, hubs: str) -> None:
             ends.append(HubSide(Hub.open(other.settings("far")), Registry()))
         try:
             for end in ends:  # while the two find each other a call may fail
-                until(lambda end=end: end.call("/in", SET).result()["reply"] == YES, "a reply", 20, every=0.1)
-                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one offers it", 20)
+                until(lambda end=end: end.call("/in", SET).result()["reply"] == YES, "a reply", every=0.1)
+                until(lambda end=end: len(end.hub.graph.servers("/in")) == 1, "one offers it")
                 before = len(bridge.servings[served].taken)
                 assert end.call("/in", SET, data=True).result()["reply"] == YES
                 assert bridge.servings[served].taken[before:] == [{"data": True}]

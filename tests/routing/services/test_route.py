@@ -56,7 +56,7 @@ class Place:
 
     def client(self, name: str = "/do", type_name: str = SET) -> HubClient:
         client = self.far.client(name, type_name, REGISTRY.service_ros2(type_name).type_id)
-        until(lambda: client.ready, "the service is on the hub", 20)
+        until(lambda: client.ready, "the service is on the hub")
         return client
 
     def row(self, name: str = "/do") -> dict[str, Any]:
@@ -208,7 +208,7 @@ def test_a_server_of_the_hub_is_called_from_the_side(place: Place) -> None:
 
     server = place.far.server("/do", SET, REGISTRY.service_ros2(SET).type_id, serve)
     served: Callable[[], bool] = lambda: any(e.topic == "/do" for e in place.network.endpoints())  # noqa: E731
-    until(served, "offered on the side", 20)
+    until(served, "offered on the side")
 
     def ask_side(request: bytes, done: Done) -> Abandon:
         return place.network.call("/do", request, done)
@@ -226,13 +226,13 @@ def test_one_worker_of_a_network_offers_a_service_and_another_takes_over(place: 
     call = ask(client)
     serving.requests(1)
     second = place.another("second")
-    until(lambda: second.summary().standing_by, "the second one stands by", 20)
+    until(lambda: second.summary().standing_by, "the second one stands by")
     until(lambda: [line["decision"] for line in second.explain("/do")] == ["standby"], "explained")
     assert len(place.far.graph.servers("/do")) == 1
     place.engine.stop()
     assert call.result()["error"]
     serving.release()
-    until(lambda: second.summary().state == "running", "the second one is active", 20)
+    until(lambda: second.summary().state == "running", "the second one is active")
     again = place.client()
-    until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served", 20)
+    until(lambda: (ask(again).result()["reply"] or {}).get("success"), "the next call is served")
     until(lambda: len(place.far.graph.servers("/do")) == 1, "by one alone")

@@ -53,7 +53,7 @@ class Served(Place):
             "frameTransformGet_nws_yarp/tf:o",
         ):
             name = f"{options.get('server', '')}/frameTransformServer/{kind}"
-            until(lambda n=name: connections.exists(self.names, n), f"{name} is there", 20)
+            until(lambda n=name: connections.exists(self.names, n), f"{name} is there")
         return self.client(**options)
 
     def say(self, parent: str, child: str, *, static: bool = False, stamp: float | None = None) -> None:
@@ -95,20 +95,20 @@ def test_a_client_and_the_hub_have_each_others_frames(place: Served) -> None:
             frames.set("arm", "base", LASER)
             return "arm" in place.told(place.heard) and "gripper" in frames and "arm" in frames
 
-        until(once, "both sides have heard of all", 20)
+        until(once, "both sides have heard of all")
         frames.set("laser", "base", LASER, static=True)
-        until(lambda: "laser" in place.told(place.heard_static), "the static frame is published", 20)
+        until(lambda: "laser" in place.told(place.heard_static), "the static frame is published")
         for client in (frames, asking):
-            point = until(lambda c=client: (place.say("map", "base"), seen(c))[1], "the client has the frames", 20)
+            point = until(lambda c=client: (place.say("map", "base"), seen(c))[1], "the client has the frames")
             assert point == [1.5, 2.0, 0.0]
         assert "gripper" not in place.told(place.heard_static), "what the hub says is not said again"
         frames.delete("laser", "base")
-        until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted", 20)
+        until(lambda: "laser" not in frames and "laser" not in asking, "it is deleted")
         assert frames.waitForTransform("gripper", "base", 20.0)
         assert set(place.told(place.heard)) == {"arm"}
     place.say("elsewhere", "base")
     told = {"frame": "base", "parents": ["elsewhere", "map"], "sources": ["/far"]}
-    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [told], "both parents are told", 20)
+    until(lambda: (place.status("transform_server") or {}).get("conflicts") == [told], "both parents are told")
     status = place.status("transform_server")
     assert status is not None
     assert status["refused"] == {}
@@ -138,7 +138,7 @@ def test_a_run_on_a_simulations_clock(place: Served) -> None:
             frames.setTransform("arm", "base", LASER)  # stamped by the system's clock; refused until there is a time
             return {"base", "arm"} <= set(frames)
 
-        until(both, "the client has both", 20)
+        until(both, "the client has both")
         assert {t.dst_frame_id: t.timestamp for t in frames.tree().transforms}["base"] == 100.0
         arm = until(
             lambda: (both(), [t for t in place.transforms(place.heard) if t["child_frame_id"] == "arm"])[1], "", 20
@@ -146,8 +146,8 @@ def test_a_run_on_a_simulations_clock(place: Served) -> None:
         assert 99 <= arm[0]["header"]["stamp"]["sec"] <= 100
         tick(100)
         place.say("base", "camera", static=True)
-        until(lambda: (both(), "camera" in frames)[1], "the static frame is there", 20)
-        until(lambda: (tick(1), set(frames) == {"base", "camera"})[1], "the rest is forgotten", 20)
+        until(lambda: (both(), "camera" in frames)[1], "the static frame is there")
+        until(lambda: (tick(1), set(frames) == {"base", "camera"})[1], "the rest is forgotten")
 
 
 def test_prefix_and_lifetime_change_while_it_runs(place: Served) -> None:
@@ -155,7 +155,7 @@ def test_prefix_and_lifetime_change_while_it_runs(place: Served) -> None:
         before = place.status("transform_server")
         assert place.worker.reload(place.served(yarp_frame_lifetime=600.0))
         assert frames.send([transform_of("base", "map", LASER, time.time() - 60.0)])
-        until(lambda: "base" in frames, "it is shown though it is old", 20)
+        until(lambda: "base" in frames, "it is shown though it is old")
         after = place.status("transform_server")
         assert before is not None
         assert after is not None
