@@ -1,22 +1,30 @@
 """Runs a command and ends it when the guard's standard input ends, so that nothing outlives a demo that was killed.
 
-Usage: ``python guard.py COMMAND...``. Standard library only.
+Usage: ``python guard.py COMMAND...``. Standard library only. What the command leaves behind is killed (Linux): a daemon
+that had to be killed leaves its router, a roscore its master, which sessions of their own keep from its signals.
 """
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 PATIENCE = 8.0
 """Seconds between SIGTERM and SIGKILL."""
 
+_PR_SET_CHILD_SUBREAPER = 36  # linux/prctl.h: orphans below this process become its children
+
 
 def main() -> int:
     """Run the command; returns its exit code."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     child = subprocess.Popen(sys.argv[1:], stdin=subprocess.DEVNULL)
     signal.signal(signal.SIGTERM, lambda *_: child.terminate())
 
@@ -30,7 +38,22 @@ def main() -> int:
             child.kill()
 
     threading.Thread(target=watch, name="watch", daemon=True).start()
-    return child.wait()
+    code = child.wait()
+    while left := _children():
+        for pid in left:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+    return code
+
+
+def _children() -> list[int]:
+    """Process ids of what this process has still below it; none where there is no proc(5)."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended
+            if int(file.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
+                found.append(int(file.parent.name))
+    return found
 
 
 if __name__ == "__main__":

@@ -33,6 +33,8 @@ _NOT_OURS_PREFIXES = ("ZENOH_", "RMW_", "FASTDDS_", "FASTRTPS_", "MIDSPAN_")
 _LONGEST_BASE = 50
 _DOMAINS = range(10, 101)
 _PORT_BASE, _DOMAIN_GAIN = 7400, 250  # DDSI-RTPS 2.5, 9.6.2.4: ports of a domain
+_TCP_BASE, _TCP_EACH = 30_000, 20
+"""Below what Linux gives to connections going out (from 32768 on): one of those would take a port before its server."""
 
 
 class Place:
@@ -48,8 +50,8 @@ class Place:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
-            self.master_port, self.router_port, self.yarp_port = _free_ports(3)
             self._hold, self.domain = _hold_domain()
+            self.master_port, self.router_port, self.yarp_port = _free_ports(3, self.domain)
             # a package alone on a path of its own: what else lies beside it must not reach the system's Python
             self.system_path = self.folder / "system"
             self.system_path.mkdir()
@@ -156,15 +158,14 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for sock in sockets:
-            sock.bind(("127.0.0.1", 0))
-        return [sock.getsockname()[1] for sock in sockets]
-    finally:
-        for sock in sockets:
-            sock.close()
+def _free_ports(count: int, domain: int) -> list[int]:
+    """TCP ports that nobody uses; those of a domain that is held are no other demo's."""
+    first = _TCP_BASE + _TCP_EACH * domain
+    ports = [port for port in range(first, first + _TCP_EACH) if _is_free(port, socket.SOCK_STREAM)][:count]
+    if len(ports) < count:
+        msg = f"too few free TCP ports between {first} and {first + _TCP_EACH - 1} on this machine"
+        raise RuntimeError(msg)
+    return ports
 
 
 def _hold_domain() -> tuple[socket.socket, int]:
@@ -191,8 +192,8 @@ def _ports(domain: int) -> range:
     return range(first, first + _DOMAIN_GAIN)
 
 
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+def _is_free(port: int, kind: socket.SocketKind = socket.SOCK_DGRAM) -> bool:
+    with socket.socket(socket.AF_INET, kind) as sock:
         try:
             sock.bind(("", port))
         except OSError:

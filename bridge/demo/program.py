@@ -9,11 +9,13 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from bridge.demo.child import guarded
+
 _KEPT = 400
 
 
 class Program:
-    """One process, in a group of its own.
+    """One process, in a group of its own, which ends with the demo.
 
     Attributes:
         lines: what it printed lately, errors among it.
@@ -22,10 +24,10 @@ class Program:
     def __init__(self, command: Sequence[str | Path], env: Mapping[str, str], folder: Path) -> None:
         self.lines: deque[str] = deque(maxlen=_KEPT)
         self._popen = subprocess.Popen(
-            [str(part) for part in command],
+            [str(part) for part in guarded(*command)],
             env=dict(env),
             cwd=folder,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -45,6 +47,8 @@ class Program:
 
     def stop(self, seconds: float = 4.0) -> None:
         """End it: SIGTERM, then SIGKILL."""
+        assert self._popen.stdin is not None
+        self._popen.stdin.close()
         for number in (signal.SIGTERM, signal.SIGKILL):
             if self._popen.poll() is not None:
                 break

@@ -1,12 +1,14 @@
 """How a program of the demo tells what it heard: JSON lines on its output, and commands as JSON lines on its input.
 
 Standard library only, since the ROS 1 program runs on the system's Python. The end of the input ends the program, so
-that none is left when the demo dies.
+that none is left when the demo dies: also one that waits for ever for what died with it, as rospy for its master.
 """
 
 from __future__ import annotations
 
 import json
+import queue
+import signal
 import sys
 import threading
 from collections import OrderedDict
@@ -15,6 +17,9 @@ from typing import Any, Protocol
 
 EVERY = 0.5
 """Seconds between two reports."""
+
+LAST_SECONDS = 4
+"""A program that has not ended by itself so long after its input is ended by the system, wherever it hangs."""
 
 _REMEMBERED = 2000
 
@@ -86,7 +91,7 @@ def serve(program: Program) -> None:
 
 
 class Voice:
-    """One program's ears and its line to the demo.
+    """One program's ears and its line to the demo; made before anything that may wait for others.
 
     Args:
         more: what else stands in each report.
@@ -97,6 +102,8 @@ class Voice:
         self._more = more
         self._write_lock = threading.Lock()
         self._ended = threading.Event()
+        self._commands: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, name="commands", daemon=True).start()
 
     def ear(self, topic: str) -> Ear:
         """The ear for a topic."""
@@ -117,12 +124,20 @@ class Voice:
         reporter = threading.Thread(target=self._report, name="report", daemon=True)
         reporter.start()
         try:
-            for line in sys.stdin:
+            while (line := self._commands.get()) is not None:
                 command = json.loads(line)
                 commands[command.pop("do")](**command)
         finally:
             self._ended.set()
             reporter.join(2.0)
+
+    def _read(self) -> None:
+        # unbuffered: a thread that reads sys.stdin holds its lock as Python ends
+        with open(0, "rb", buffering=0, closefd=False) as lines:
+            for line in lines:
+                self._commands.put(line)
+        self._commands.put(None)
+        signal.alarm(LAST_SECONDS)
 
     def _report(self) -> None:
         while not self._ended.is_set():

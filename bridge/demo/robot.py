@@ -37,6 +37,7 @@ class Robot:
         self._hellos = 0
         self._map_text = wording.grid_text(*self._plan.size, self._plan.occupancy())
         self.voice = Voice(self._state)
+        rospy.init_node("robot", disable_signals=True)
         self._scan = rospy.Publisher(topics.SCAN, LaserScan, queue_size=5)
         self._odom = rospy.Publisher(topics.ODOM, Odometry, queue_size=10)
         self._tf = rospy.Publisher(topics.TF, TFMessage, queue_size=10)
@@ -141,7 +142,6 @@ def _transform(now: rospy.Time, parent: str, child: str, x: float, y: float, z: 
 
 def main() -> int:
     """Run until the standard input ends."""
-    rospy.init_node("robot", disable_signals=True)
     robot, ended = Robot(), threading.Event()
     simulation = threading.Thread(target=robot.run, args=(ended,), name="simulation", daemon=True)
     simulation.start()

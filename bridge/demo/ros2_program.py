@@ -27,8 +27,8 @@ class Listener:
     """The node and what it heard."""
 
     def __init__(self) -> None:
-        self.node = rclpy.create_node("demo_ros2")
         self.voice = Voice(self._state)
+        self.node = rclpy.create_node("demo_ros2")
         self._pose: list[float] | None = None
         self._hellos = 0
         self._static_frames: set[str] = set()

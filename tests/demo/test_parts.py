@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import math
+import signal
+import socket
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
-from bridge.demo import camera, requirements, topics, traces
+from bridge.demo import camera, place, requirements, topics, traces
 from bridge.demo.base import TIMEOUT, Base
 from bridge.demo.checks import ROS1, ROS2, YARP, YARP_TEXT, ZENOH, Drive, evaluate, promises
+from bridge.demo.child import guarded
 from bridge.demo.floor_plan import RESOLUTION, FloorPlan
 from bridge.demo.place import Place
 from bridge.demo.report import Ear
 
+ROOT = Path(__file__).parents[2]
 MAP = "180 x 105 cells, CRC 00000000"
 DRIVE = Drive(ROS2, (0.3, 0.0), (0.0, 0.0, 0.0), (0.8, 0.0, 0.0), 25, 25, (0.0, 0.0), seen=True)
 
@@ -201,3 +208,44 @@ def test_what_is_missing_is_told_with_its_cure(tmp_path: Path) -> None:
     told = requirements.missing(config)
     assert told
     assert str(tmp_path) in told[0]
+
+
+def test_ports_of_a_place_are_none_that_connections_going_out_take() -> None:
+    with Place(None) as first, socket.socket() as taken:
+        low, domain = first.master_port, first.domain
+        taken.bind(("127.0.0.1", first.router_port))
+        free = place._free_ports(3, domain)
+        assert first.router_port not in free
+        assert max(*free, first.yarp_port) < 32_768  # net.ipv4.ip_local_port_range, as Linux has it
+        assert low == free[0]
+
+
+def test_a_program_that_waits_for_ever_ends_with_its_input() -> None:
+    """As rospy does, whose master died while it registered with it."""
+    waits = "from bridge.demo import report; report.LAST_SECONDS = 1; report.Voice(); import time; time.sleep(600)"
+    with subprocess.Popen([sys.executable, "-c", waits], stdin=subprocess.PIPE, cwd=ROOT) as program:
+        assert program.stdin is not None
+        program.stdin.close()
+        assert program.wait(30) == -signal.SIGALRM
+
+
+LEAVES_ONE_BEHIND = """
+import subprocess, sys, time
+sleep = [sys.executable, "-c", "import time; time.sleep(600)"]
+print(subprocess.Popen(sleep, start_new_session=True, stdout=subprocess.DEVNULL).pid, flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="orphans are found on Linux")
+def test_a_guard_leaves_nothing_behind_that_its_command_left() -> None:
+    """As a daemon leaves its router that had to be killed, and a roscore its master."""
+    command = [str(part) for part in guarded(sys.executable, "-c", LEAVES_ONE_BEHIND)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as guard:
+        assert guard.stdin is not None
+        assert guard.stdout is not None
+        left = int(guard.stdout.readline())
+        assert psutil.pid_exists(left)
+        guard.stdin.close()
+        guard.wait(30)
+    assert not psutil.pid_exists(left)
