@@ -40,7 +40,7 @@ print("used")
 
 def test_a_program_uses_what_was_built(built: Path) -> None:
     env = os.environ | environment([built])
-    done = subprocess.run([sys.executable, "-c", USE], env=env, capture_output=True, text=True, check=False, timeout=100)
+    done = subprocess.run([sys.executable, "-c", USE], env=env, capture_output=True, text=True, check=False, timeout=90)
     assert done.stdout.strip() == "used", done.stderr
 
 
