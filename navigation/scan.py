@@ -103,6 +103,13 @@ def _turn(
     return Turn(time_ns, first, step, max(nearest, _LEAST), farthest, ranges)
 
 
+def is_blind(scan: Beams) -> bool:
+    """Whether none of its beams says anything: many lasers that are covered or broken say 0 all round."""
+    ranges = np.asarray(scan.ranges, np.float64)
+    with np.errstate(invalid="ignore"):
+        return not ((ranges >= scan.nearest) | (ranges == -np.inf)).any()
+
+
 def believed(scan: Beams) -> NDArray[np.float64]:
     """The ranges: NaN where nothing is known, also nearer than is measured; infinite from the farthest on.
 

@@ -20,6 +20,7 @@ from navigation.robot_goto.settings import Settings
 from navigation.robot_goto.stall import Stall
 from navigation.robot_goto.steering import Aim, Limits, aim, drive, people_speed
 from navigation.robot_goto.task import Task
+from navigation.scan import is_blind
 from navigation.status import Fault, State
 
 COAST = 0.3
@@ -188,7 +189,7 @@ class Driver:
             moved: where the base was in the odometry's frame as it was made (on the map where there is no odometry).
             laser: where the laser is on the base.
         """
-        self.unplaced, self._blind = "", bool(np.isnan(scan.ranges).all())
+        self.unplaced, self._blind = "", is_blind(scan)
         if not self._blind:
             self.grid.scan(scan, moved, laser)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from bridge.hub.qos import Durability, Qos
@@ -10,6 +9,7 @@ from bridge.modules.action_client import SentGoal
 from bridge.modules.goal import Status
 from bridge.modules.host import Host
 from navigation.constraints import Constraints
+from navigation.messages import pose_message
 from navigation.pose import Pose
 from navigation.status import STATUS, Fault, State
 
@@ -54,12 +54,8 @@ class ActionNavigator:
     def send(self, pose: Pose, constraints: Constraints) -> None:
         """Drive there, instead of where it was sent before."""
         self._state, self._reason, self._fault = State.PREPARING, "", Fault.NONE
-        place = {
-            "position": {"x": pose.x, "y": pose.y, "z": 0.0},
-            "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(pose.theta / 2), "w": math.cos(pose.theta / 2)},
-        }
         # without a stamp: how old a goal looks on another machine's clock says nothing
-        goal = {"pose": {"header": {"frame_id": self._frame}, "pose": place}}
+        goal = {"pose": {"header": {"frame_id": self._frame}, "pose": pose_message(pose)}}
         if self._action.startswith(_OURS):
             goal["behavior_tree"] = constraints.to_text()  # type: ignore[assignment]
         self._goal = self._client.send(goal, self._ended, self._driving)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from navigation.frames import LATE, Frames, FramesError
 from navigation.robot_path_planner.planner import PathPlanner
-from navigation.scan import ScanError, of_ros
+from navigation.scan import ScanError, is_blind, of_ros
 
 _EVERY = 0.2
 _SILENT = 1.0
@@ -40,7 +38,7 @@ class Laser:
         stamp = header["stamp"]["sec"] * 1_000_000_000 + header["stamp"]["nanosec"]
         try:
             turn = of_ros(message, stamp, hangs=self._frames.hangs(header["frame_id"]))
-            if not np.isnan(turn.ranges).all():
+            if not is_blind(turn):
                 self._seen = now
             pose = self._frames.transform(self._frames.map_frame, header["frame_id"], stamp, extrapolate=LATE)
         except (FramesError, ScanError) as err:

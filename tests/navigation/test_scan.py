@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from navigation.scan import ScanError, believed, of_ros, of_yarp
+from navigation.scan import ScanError, believed, is_blind, of_ros, of_yarp
 from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.sig.vector import Vector
 
@@ -33,3 +33,19 @@ def test_too_near_is_not_known_and_the_farthest_is_no_echo():
     nan, inf = math.nan, math.inf
     found = believed(of_ros(message, 7))
     np.testing.assert_equal(found, np.array([nan, nan, 0.2, 4.9, inf, inf, inf, nan, nan]))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "blind"),
+    [
+        ([math.nan] * 2, True),
+        ([0.0] * 2, True),
+        ([0.1, math.nan], True),
+        ([0.0, 0.2], False),
+        ([0.0, -math.inf], False),
+        ([math.inf] * 2, False),
+    ],
+)
+def test_a_laser_is_blind_that_says_nothing_all_round(ranges, blind):
+    message = {"angle_min": 0.0, "angle_increment": 0.1, "range_min": 0.2, "range_max": 5.0, "ranges": ranges}
+    assert is_blind(of_ros(message, 7)) is blind

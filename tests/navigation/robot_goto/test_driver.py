@@ -171,13 +171,15 @@ def test_a_silent_laser_stops_it_and_it_goes_on():
 
 
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize(("seen", "said"), [(None, "the laser is silent"), (math.nan, "the laser is blind")])
+@pytest.mark.parametrize(
+    ("seen", "said"), [(None, "the laser is silent"), (math.nan, "the laser is blind"), (0.0, "the laser is blind")]
+)
 def test_a_laser_that_stays_away_ends_the_goal_and_is_named_as_the_cause(seen, said, known):
     """Also where the localisation, which lives of it, is lost for that."""
     scene = Scene(max_waiting_time=3.0)
     scene.driver.goal(Pose(3.0, 0.0, math.nan))
     scene.run(2.0)
-    scene.edit = lambda ranges: seen and np.full_like(ranges, seen)
+    scene.edit = lambda ranges: None if seen is None else np.full_like(ranges, seen)
     scene.run(1.0)
     scene.known = known
     scene.run(0.1)
