@@ -11,6 +11,8 @@ from yarp_compat.naming.naming import Naming
 from yarp_compat.wire.errors import WireError
 
 _AGAIN = 2.0
+_END_SECONDS = 0.4
+"""A module that stops has one second for all of its own; what is under way with a machine that is away takes longer."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,9 +34,9 @@ class Connected:
         self._thread.start()
 
     def close(self) -> None:
-        """Connect no more."""
+        """Connect no more; what is under way ends by itself."""
         self._end.set()
-        self._thread.join(5.0)
+        self._thread.join(_END_SECONDS)
 
     def _run(self) -> None:
         begun = time.monotonic()
