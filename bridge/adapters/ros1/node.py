@@ -25,6 +25,7 @@ import rospy.impl.tcpros_base
 from rosgraph.xmlrpc import SilenceableXMLRPCRequestHandler, XmlRpcNode
 from rospy.impl.masterslave import ROSHandler
 
+from bridge.adapters.ros1 import ended
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.handshake import Header, encode, read_header
@@ -274,10 +275,21 @@ class Node:
         if "topic" in header:
             error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
             self._note_type(header, error)
-            return error
+            return error and self._let_go(sock, header, error)
         if "service" in header:
             return self._servers.admit(sock, header)
         return "neither a topic nor a service is named"
+
+    @staticmethod
+    def _let_go(sock: DeadlineSocket, header: Header, error: str) -> str:
+        """Greet a subscriber of a topic that is not published any more, see `bridge.adapters.ros1.ended`; "" or why."""
+        publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
+        farewell = ended.farewell(header) if publication is None or publication.closed else None
+        if farewell is None:
+            return error
+        sock.sendall(encode(farewell))
+        sock.close()
+        return ""
 
     def _note_type(self, header: dict[str, str], error: str) -> None:
         """Remember who cannot hear us because of its type; a node tells so on its own side alone, if at all."""

@@ -13,8 +13,10 @@ from typing import Any
 
 import rospy
 import rospy.impl.registration as registration
+from rospy.impl.tcpros_pubsub import TCPROSPub
 from rospy.topics import _PublisherImpl, _TopicImpl
 
+from bridge.adapters.ros1 import ended
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD
 from bridge.adapters.ros1.outlet import Outlet
 from bridge.hub.qos import Qos
@@ -76,6 +78,8 @@ class Publication(_PublisherImpl):  # type: ignore[misc]  # rospy has no types
 
     def close(self) -> None:
         """Close all connections."""
+        greeting = TCPROSPub(self.resolved_name, self.data_class, headers=self.headers)
+        ended.note(self.resolved_name, greeting.get_header_fields())
         with self.c_lock:
             for outlet in self._outlets.values():
                 outlet.close()

@@ -4,10 +4,13 @@ import base64
 import contextlib
 import socket
 import struct
+import time
 from xmlrpc.client import ServerProxy
 
 import pytest
 
+from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.handshake import ORIGIN_FIELD, encode, read_header
 from tests.adapters.ros1.parts import edge_on, string, text
 from tests.adapters.ros1.servers import publisher, tcp_server, until_closed
 from tests.support.ros1 import needs_ros1
@@ -247,6 +250,32 @@ def test_a_publication_made_anew_at_once_is_heard_again(master, edge):
 
             until(once, f"the subscriber hears publication {number}")
             edge.ask("drop", id=out)
+
+
+def test_who_comes_as_a_publication_ends_gets_its_header_and_is_let_go(master, edge):
+    """Else rospy would never connect to us for this topic again after an error."""
+    out = edge.ask("advertise", topic="/ends", type="std_msgs/String")["id"]
+    with ServerProxy(until(lambda: master.call("lookupNode", "/midspan"), "the node is known")) as node:
+        _, _, (_, _, port) = node.requestTopic("/late", "/ends", [["TCPROS"]])
+    edge.ask("drop", id=out)
+    ours = {"callerid": "/late", "topic": "/ends", "type": "*", "md5sum": "*"}
+    for md5 in ("*", STRING_MD5):
+        sock, header = come(port, ours | {"md5sum": md5})
+        with sock:
+            assert (header["type"], header["md5sum"]) == ("std_msgs/String", STRING_MD5)
+            assert ORIGIN_FIELD in header
+            assert sock.recv(1) == b""
+    for wrong in ({"md5sum": "0" * 32}, {"topic": "/never"}):
+        sock, header = come(port, ours | wrong)
+        with sock:
+            assert "is not a publisher of" in header["error"]
+
+
+def come(port: int, header: dict) -> tuple[DeadlineSocket, dict]:
+    """Connect as a subscriber that was told our port before; what is answered."""
+    sock = DeadlineSocket.connected("127.0.0.1", port, time.monotonic() + 40)
+    sock.sendall(encode(header))
+    return sock, read_header(sock)
 
 
 def test_names_that_ros2_forbids(master, edge):
