@@ -35,11 +35,12 @@ PEERS = {"scipy": "scipy.sparse.csgraph", "w9-pathfinding": "w9_pathfinding.pf",
 
 
 class Found(NamedTuple):
-    """What a planner did: seconds for its graph, seconds for the way, the way's length in cells."""
+    """What a planner did: seconds for its graph and for the way, the way's length in cells, corners that it cuts."""
 
     build: float
     search: float
     length: float
+    cut: int = 0
 
 
 def rooms(size: int) -> Grid:
@@ -167,13 +168,21 @@ def by_pyastar2d(grid: Grid, start: Cell, goal: Cell) -> Found:
     weights = np.where(grid > 0, grid, np.inf).astype(np.float32)
     built = time.perf_counter()
     way = pyastar2d.astar_path(weights, start, goal, allow_diagonal=True)
-    return Found(built - begin, time.perf_counter() - built, length(way))
+    return Found(built - begin, time.perf_counter() - built, length(way), corners_cut(grid, way))
 
 
 def length(way: Any) -> float:
     """Of a way of cells, a diagonal being the square root of two."""
     steps = np.abs(np.diff(np.asarray(way), axis=0)).sum(axis=1)
     return float((steps == 1).sum() + math.sqrt(2.0) * (steps == 2).sum())
+
+
+def corners_cut(grid: Grid, way: Any) -> int:
+    """Diagonal steps of a way of rows and columns past a cell that is not free."""
+    here, there = np.asarray(way)[:-1], np.asarray(way)[1:]
+    diagonal = (here != there).all(axis=1)
+    beside = (grid[here[:, 0], there[:, 1]] > 0) & (grid[there[:, 0], here[:, 1]] > 0)
+    return int((diagonal & ~beside).sum())
 
 
 def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
@@ -185,17 +194,17 @@ def smoothed(grid: Grid, start: Cell, goal: Cell) -> float:
     return time.perf_counter() - begin
 
 
-def measured(sizes: list[int], rounds: int, peers: dict[str, Callable[..., Found]]) -> Iterator[Row]:
+def measured(sizes: list[int], maps: list[str], rounds: int, peers: dict[str, Callable[..., Found]]) -> Iterator[Row]:
     """All rows: the best of some rounds of each, in turns."""
     for size in sizes:
-        for name in MAPS:
+        for name in maps:
             grid, (start, goal) = made(name, size), ends(name, size)
             ours(grid, start, goal)  # compiled
             smoothed(grid, start, goal)
-            found = {who: [plan(grid, start, goal) for _ in range(1)] for who, plan in peers.items()}
-            own = [ours(grid, start, goal)]
-            whole = [smoothed(grid, start, goal)]
-            for _ in range(rounds - 1):
+            found: dict[str, list[Found]] = {who: [] for who in peers}
+            own: list[Found] = []
+            whole: list[float] = []
+            for _ in range(rounds):
                 own.append(ours(grid, start, goal))
                 whole.append(smoothed(grid, start, goal))
                 for who, plan in peers.items():
@@ -207,6 +216,8 @@ def measured(sizes: list[int], rounds: int, peers: dict[str, Callable[..., Found
                 yield Row(f"{name} {size}, {who}", 1e3 * mine, 1e3 * search, "ms")
                 yield Row(f"{name} {size}, {who} with its graph", 1e3 * mine, 1e3 * built, "ms")
                 yield Row(f"{name} {size}, length beside {who}", own[0].length, all_[0].length, "cells")
+                if all_[0].cut:
+                    yield Row(f"{name} {size}, corners cut beside {who}", 0, all_[0].cut, "steps")
             yield Row(f"{name} {size}, with waypoints beside without", 1e3 * min(whole), 1e3 * mine, "ms")
 
 
@@ -214,6 +225,7 @@ def main() -> int:
     """Measure and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES), metavar="CELLS")
+    parser.add_argument("--maps", choices=MAPS, nargs="+", default=list(MAPS))
     parser.add_argument("--rounds", type=int, default=3)
     add_json_option(parser)
     args = parser.parse_args()
@@ -226,7 +238,7 @@ def main() -> int:
             print(f"{name} is not installed: pip install {name}", file=sys.stderr)
         else:
             peers[name] = planners[name]
-    report(list(measured(args.sizes, max(1, args.rounds), peers)), args.json)
+    report(list(measured(args.sizes, args.maps, max(1, args.rounds), peers)), args.json)
     return 0
 
 
