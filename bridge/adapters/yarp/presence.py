@@ -98,7 +98,8 @@ class Presence:
             self._tried[name] = contact, pauses, now + pauses.pause(0.0)
             if self._core.add_output(name)[0]:
                 self._see(name, None)
-        self._tried = {name: tried for name, tried in self._tried.items() if name in others}
+        for name in self._tried.keys() - others.keys():  # in place: connections' threads take out of it, too
+            self._tried.pop(name, None)
         with self._lock:
             self._looked_since = max(self._looked_since, started)
 
