@@ -19,7 +19,7 @@ from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.keeper import KEEPER
 from yarp_compat.naming.server import NameServer
-from yarp_compat.os.nested import PUBLISHER, SUBSCRIBER, NestedName
+from yarp_compat.os.nested import LATCHED, PUBLISHER, SUBSCRIBER, NestedName
 from yarp_compat.ports.events import ConnectionEvent
 from yarp_compat.ports.message import Message as PortMessage
 from yarp_compat.ports.port import PortCore
@@ -73,10 +73,11 @@ class YarpProgram:
 
     def advertise(self, topic: str, type_: str, *, latched: bool = False, **_: Any) -> int:
         number = next(self._ids)
-        core = self._open(number, topic, PUBLISHER, type_)
         if latched:
             self._last[number] = []
-            self._naming.set_property(core.name, "latched", "true")
+        core = self._open(number, topic, PUBLISHER, type_)
+        if latched:
+            self._naming.set_property(core.name, LATCHED, "true")
         return number
 
     def subscribe(self, topic: str, type_: str, **_: Any) -> int:
@@ -96,6 +97,8 @@ class YarpProgram:
             is_input=role == SUBSCRIBER,
             is_output=role == PUBLISHER,
         )
+        if number in self._last:
+            core.properties[LATCHED] = 1
         core.open()
         self._naming.set_property(core.name, "type", type_)
         self._join(NestedName.parse(core.name))

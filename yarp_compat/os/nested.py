@@ -13,6 +13,9 @@ SUBSCRIBER = "-"
 CLIENT = "+1"
 SERVER = "-1"
 
+LATCHED = "latched"
+"""The property of a publisher's port, its own or at the name server: whoever connects gets its last message."""
+
 _ROLES = (CLIENT, SERVER, PUBLISHER, SUBSCRIBER)
 
 

@@ -18,7 +18,7 @@ from yarp_compat.naming.errors import NamingError
 from yarp_compat.os import bridge
 from yarp_compat.os.buffered_port import BufferedPort
 from yarp_compat.os.contactable import Contactable
-from yarp_compat.os.nested import CLIENT, PUBLISHER, SERVER, SUBSCRIBER, NestedName
+from yarp_compat.os.nested import CLIENT, LATCHED, PUBLISHER, SERVER, SUBSCRIBER, NestedName
 from yarp_compat.os.port import Port
 from yarp_compat.os.runtime import RUNTIME
 from yarp_compat.ports.events import ConnectionEvent
@@ -154,6 +154,11 @@ class Publisher(BufferedPort):
             with contextlib.suppress(WireError):  # writing it will say so
                 self._kept = b"".join(message.to_wire(RUNTIME.profile))
 
+    def _began(self) -> None:
+        super()._began()
+        if self._latched and self._core is not None:  # known before it listens, at the name server only later
+            self._core.properties[LATCHED] = 1
+
     def _tell(self, event: ConnectionEvent) -> None:
         super()._tell(event)
         core, kept = self._core, self._kept
@@ -195,7 +200,7 @@ def joined(port: Contactable, name: NestedName, type_name: str) -> None:
         if type_name:
             RUNTIME.naming.set_property(name.port, "type", type_name)
         if isinstance(port, Publisher) and port.is_latched:
-            RUNTIME.naming.set_property(name.port, "latched", True)
+            RUNTIME.naming.set_property(name.port, LATCHED, True)
         for contact in RUNTIME.listed():
             other = NestedName.parse(contact.name)
             if other.topic == name.topic and other.role == _OPPOSITE[name.role]:

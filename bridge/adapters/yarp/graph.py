@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,13 +17,16 @@ from bridge.messages.registry import Registry
 from yarp_compat.naming import connections, talk
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.errors import NamingError, PortError
-from yarp_compat.os.nested import PUBLISHER, NestedName
+from yarp_compat.os.nested import LATCHED, PUBLISHER, NestedName
 from yarp_compat.wire.contact import Contact
 from yarp_compat.wire.values import Vocab
 
 _log = logging.getLogger(__name__)
 
 _ASK_SECONDS = 1.0
+_ANSWER_SECONDS = 2.0
+"""Seconds that a port has to say whether it is latched: a program that does not answer holds up the others so long."""
+
 _AGAIN = 2.0
 """Seconds after which a port that did not answer is tried again."""
 
@@ -58,6 +62,8 @@ class _Known:
     made_by: MadeBy = MadeBy.UNKNOWN
     type: str = ""
     latched: bool = False
+    asked: bool = False
+    says_latched: bool = False
     read: bool = False
 
 
@@ -140,9 +146,27 @@ class Graph:
         young = time.monotonic() - known.since < _TELLING
         if "@" in name and known.made_by is MadeBy.NATIVE and (young or not known.read):
             known.read = True
+            self._ask(name, known)
             known.type = known.type or self._type_of(naming, known.contact)
-            known.latched = str((naming.get_property(name, "latched") or [""])[0]).lower() in ("true", "1")
+            known.latched = known.says_latched or _is_true(naming.get_property(name, LATCHED))
         return known
+
+    def _ask(self, name: str, known: _Known) -> None:
+        """Ask a publisher itself whether it is latched, once.
+
+        A port knows that before it listens. At the name server it stands only some time after, as no name server keeps
+        what is set of a name that is not registered yet: a message that came in between would not be kept. A port that
+        does not listen yet counts as not there, so that it is not connected before it was asked.
+        """
+        if known.asked or NestedName.parse(name).role != PUBLISHER:
+            return
+        if not connections.responds(known.contact, timeout=_ASK_SECONDS):
+            self.died(name)
+            return
+        known.asked = True
+        with contextlib.suppress(PortError):
+            answer = talk.admin(known.contact, [Vocab("prop"), Vocab("get"), LATCHED], _ANSWER_SECONDS)
+            known.says_latched = _is_true(answer)
 
     # -- topics --------------------------------------------------------------------------------------------------------
 
@@ -173,6 +197,11 @@ class Graph:
         except (PortError, NamingError):
             return ""
         return str(_find(_find(answer, "port"), "type") or "")
+
+
+def _is_true(values: Sequence[Any]) -> bool:
+    """Whether a property's first value says so, as YARP's programs write it."""
+    return str(next(iter(values), "")).lower() in ("true", "1")
 
 
 def _find(values: Any, key: str) -> Any:

@@ -8,9 +8,11 @@ import pytest
 
 import yarp_compat as yarp
 from tests.support.wait import until
+from yarp_compat.naming import talk
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.server import NameServer
 from yarp_compat.pythonic import Server
+from yarp_compat.wire.values import Vocab
 
 String = yarp.rosmsg.std_msgs.String
 
@@ -131,7 +133,11 @@ def test_a_daemon_is_seen_and_tells_definitions(name_server: NameServer, caplog:
 def test_latched_messages_reach_who_comes_later(name_server: NameServer) -> None:
     publisher = yarp.Publisher(String, latched=True)
     assert publisher.topic("/map@/server")
-    assert NameClient(name_server.address).get_property("/map+@/server", "latched") == [True]
+    naming = NameClient(name_server.address)
+    assert naming.get_property("/map+@/server", "latched") == [True]
+    contact = naming.query("/map+@/server")
+    assert contact is not None
+    assert talk.admin(contact, [Vocab("prop"), Vocab("get"), "latched"]) == [1]
     assert publisher.write(String(data="old"))
     publisher.prepare().data = "new"
     publisher.write()

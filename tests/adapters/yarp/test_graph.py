@@ -1,0 +1,76 @@
+"""What the bridge knows of the ports of topics."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from bridge.adapters.yarp.graph import Graph, NodePort
+from bridge.messages.registry import Registry
+from tests.support.wait import until
+from tests.support.yarp_programs import Names
+from yarp_compat.os.nested import LATCHED
+from yarp_compat.ports.port import PortCore
+
+PORT = "/map+@/server"
+
+
+@pytest.fixture
+def names() -> Iterator[Names]:
+    names = Names()
+    yield names
+    names.stop()
+
+
+def look(graph: Graph, names: Names) -> NodePort:
+    """The port, as the graph has it after one more look."""
+    graph.update(names.client, names.client.list(), ())
+    (found,) = graph.nodes
+    return found
+
+
+@pytest.fixture
+def port(names: Names) -> Iterator[PortCore]:
+    core = PortCore(PORT, naming=names.client, type_name="std_msgs/String")
+    yield core
+    core.close()
+
+
+@pytest.mark.parametrize(("own", "latched"), [(1, True), ("true", True), (0, False), ("no", False), (None, False)])
+def test_a_publisher_itself_tells_at_the_first_look_whether_it_is_latched(
+    names: Names, port: PortCore, own: Any, latched: bool
+) -> None:
+    if own is not None:
+        port.properties[LATCHED] = own
+    port.open()
+    assert look(Graph(Registry()), names).latched is latched
+
+
+def test_what_the_name_server_is_told_later_counts_too(names: Names, port: PortCore) -> None:
+    port.open()
+    graph = Graph(Registry())
+    assert not look(graph, names).latched
+    names.client.set_property(PORT, LATCHED, "true")
+    assert look(graph, names).latched
+
+
+def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(names: Names) -> None:
+    graph = Graph(Registry())
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        number = taken.getsockname()[1]
+    names.client.register(PORT, "127.0.0.1", number)
+    look(graph, names)
+    assert not graph.is_there(PORT)
+    port = PortCore(PORT, naming=names.client, type_name="std_msgs/String", host="127.0.0.1", number=number)
+    port.properties[LATCHED] = 1
+    port.open()
+
+    def there() -> bool:
+        found = look(graph, names)
+        return graph.is_there(PORT) and found.latched
+
+    until(there, "it is there, and known for latched", 20)
+    port.close()
