@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from itertools import takewhile
 
 from bridge.hub.qos import Durability, Qos
 from bridge.modules.host import Host
@@ -99,6 +101,18 @@ class Frames:
             return False
         return x * x + y * y > 0.5
 
+    def on_map(self, frame: str) -> Pose:
+        """Where a frame is on the map now, for what is said in it: of what moves with the robot, where that is now.
+
+        Raises:
+            FramesError: it is not known, or what is known of the robot is too old.
+        """
+        if frame == self.odom_frame:
+            return self.correction()
+        if self._moves_with_robot(frame):
+            return self.pose() @ self.transform(self.base_frame, frame)
+        return self.transform(self.map_frame, frame)
+
     def transform(self, target: str, source: str, stamp: int = LATEST, *, extrapolate: float = 0.0) -> Pose:
         """The pose of the source frame in the target frame, flat on the floor.
 
@@ -126,8 +140,23 @@ class Frames:
         except TransformError as err:
             raise FramesError(f"it is not known where {source} is in {target}: {str(err).strip()}") from None
 
+    def _moves_with_robot(self, frame: str) -> bool:
+        parents = {info.name: info.parent for info in self.buffer.frames()}
+        still = {self.odom_frame, self.map_frame}
+        robot = set(takewhile(lambda one: one not in still, _upwards(self.base_frame, parents)))
+        return not robot.isdisjoint(_upwards(frame, parents))
+
     def _knows(self, frame: str) -> bool:
         return any(frame in (info.name, info.parent) for info in self.buffer.frames())
+
+
+def _upwards(frame: str, parents: Mapping[str, str]) -> list[str]:
+    """A frame, its parent and so on."""
+    found: list[str] = []
+    while frame and frame not in found:
+        found.append(frame)
+        frame = parents.get(frame, "")
+    return found
 
 
 def flat(transform: Transform) -> Pose:

@@ -54,7 +54,7 @@ def goal_of(goal: Mapping[str, Any], frames: Frames, maps: Callable[[], Collecti
     if frame in ("", frames.map_frame):
         return Place(wanted.map, pose), wanted
     try:
-        return Place("", frames.transform(frames.map_frame, frame) @ pose), wanted
+        return Place("", frames.on_map(frame) @ pose), wanted
     except FramesError as err:
         if frame in maps():
             return Place(frame, pose), wanted

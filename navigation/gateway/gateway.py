@@ -54,7 +54,7 @@ class Gateway:
     ) -> None:
         self._host, self._section, self._frames, self._tell = host, section, frames, changed
         self.drive: Drive | None = None
-        self.planner = section.planner
+        self.planner, self._chosen = section.planner, ""
         self._next: NavigationSection | None = None
         self._last = Standing(State.IDLE)
         self._said: tuple[Any, ...] = ()
@@ -173,14 +173,19 @@ class Gateway:
         """
         if planner not in self.choices:
             raise RefusedError(f"there is no planner {planner!r}; there are {', '.join(self.choices)}")
-        if planner == self.planner:
-            return
-        if self.driving:
+        if planner != self.planner and self.driving:
             raise RefusedError(f"{self.planner} is driving; stop it first")
-        self._link_to(planner)
+        self._chosen = planner
+        if planner != self.planner:
+            self._link_to(planner)
 
     def configure(self, section: NavigationSection) -> None:
-        """Take up another section; at the end of the drive where there is one."""
+        """Take up another section; at the end of the drive where there is one.
+
+        A planner that was chosen meanwhile stays, unless the section names another one than before.
+        """
+        if section.planner != (self._next or self._section).planner:
+            self._chosen = ""
         self._next = section
         self._settle()
         self._changed()
@@ -210,8 +215,8 @@ class Gateway:
 
     @property
     def pending(self) -> str:
-        """The planner that the configuration names, while another one drives; "" otherwise."""
-        return "" if self._next is None else self._next.planner
+        """The planner that is to drive once the one that drives now stands; "" where there is none such."""
+        return "" if self._next is None else self._wanted(self._next)
 
     def robot(self) -> Pose | None:
         """Where the robot is on the map, None where that is not known."""
@@ -372,21 +377,26 @@ class Gateway:
         if target.frame == frame:
             return target
         try:
-            return Target(self._frames.transform(frame, target.frame) @ target.pose, frame, target.tree)
+            return Target(self._frames.on_map(target.frame) @ target.pose, frame, target.tree)
         except FramesError:
             return target
+
+    def _wanted(self, section: NavigationSection) -> str:
+        """Who is to drive by a section."""
+        return self._chosen if self._chosen in section.choices else section.planner
 
     def _settle(self) -> None:
         """Take up a section that waited for the end of a drive."""
         section = self._next
         if section is None:
             return
-        same = section.planner == self.planner and section.others == self._section.others
+        planner = self._wanted(section)
+        same = planner == self.planner and section.others == self._section.others
         if self.driving and not same:
             return
         self._section, self._next = section, None
         if not same:
-            self._link_to(section.planner)
+            self._link_to(planner)
 
     def _link_to(self, planner: str) -> None:
         self.link.close()

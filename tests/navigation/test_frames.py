@@ -11,6 +11,8 @@ import pytest
 
 from bridge.tf.stamped import TF, TF_STATIC, Stamped, write
 from navigation.frames import Frames, FramesError
+from navigation.goals import goal_of
+from navigation.plan_error import PlanError
 from navigation.pose import Pose
 from navigation.robot_goto.module import RobotGoto
 from navigation.robot_path_planner.laser import Laser
@@ -87,6 +89,31 @@ def test_frames_in_frames() -> None:
     there = Pose(1.0, 2.0, 3.0)
     assert (there @ there.inverse)[:3] == pytest.approx((0.0, 0.0, 0.0))
     assert (there.inverse @ there)[:3] == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_what_is_said_in_a_frame_of_the_robots_is_where_that_is_now() -> None:
+    said = Said()
+    said.say("map", "odom", Pose(1.0, 0.0, 0.0))
+    said.say("map", "dock", Pose(5.0, 5.0, 0.0))
+    said.say("odom", "base_footprint", Pose(2.0, 0.0, 0.0))
+    said.say("base_footprint", "base_link", Pose(0.0, 0.0, 0.0), topic="/tf_static")
+    said.say("base_link", "laser", Pose(0.1, 0.0, 0.0), topic="/tf_static")
+    on_map = said.frames.on_map
+    for frame, x in (("base_link", 3.0), ("base_footprint", 3.0), ("laser", 3.1), ("odom", 1.0), ("dock", 5.0)):
+        assert on_map(frame).x == pytest.approx(x)
+    said.now += S
+    for frame in ("base_link", "base_footprint", "laser"):
+        with pytest.raises(FramesError, match="odometry is stale"):
+            on_map(frame)
+    assert on_map("odom").x == 1.0
+    said.now += 2 * S
+    with pytest.raises(FramesError, match="localisation is stale"):
+        on_map("odom")
+    assert on_map("dock").x == 5.0, "it does not move"
+    here = {"position": {"x": 1.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    goal = {"pose": {"header": {"frame_id": "base_link"}, "pose": here}, "behavior_tree": ""}
+    with pytest.raises(PlanError, match="the goal is in the frame 'base_link': the odometry is stale"):
+        goal_of(goal, said.frames, lambda: ())
 
 
 def test_a_laser_that_hangs_upside_down_sees_what_is_on_its_left_on_the_right() -> None:

@@ -268,6 +268,13 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
     mine.reach(goal)
     assert asked.end()[0] == "SUCCEEDED"
     assert rig.ask("choose_planner", name="robot_goto")["success"]
+    rig.worker.reload(rig.configured(patience=61.0))
+    assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", ""), "the file's line is as it was"
+    rig.worker.reload(rig.configured(patience=60.0, planner="robot_goto"))
+    until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
+    assert rig.ask("choose_planner", name="mine")["success"]
+    rig.worker.reload(rig.configured(planner="robot_path_planner"))
+    assert rig.gateway.planner == "robot_path_planner", "the file's line changed"
     rig.worker.reload(rig.configured(planner="robot_goto"))
     until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
 
