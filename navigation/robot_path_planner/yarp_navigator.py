@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable
 
 from navigation.constraints import Constraints
@@ -21,7 +22,11 @@ _log = logging.getLogger(__name__)
 _POLL = 0.1
 _AGAIN = 1.0
 _PATIENCE = 2.0
+GRACE = 1.0
+"""Seconds after a goal was taken for which a server that has not been seen to drive may still tell how the goal before
+ended; later its word is believed: a robot that is there already need not move."""
 _STATUS = "navigation_status_"
+_ENDS = (State.REACHED, State.ABORTED, State.FAILING)
 
 
 class YarpNavigator:
@@ -41,6 +46,7 @@ class YarpNavigator:
         self._state, self._reason = State.ERROR, f"{self._port} has not answered yet"
         self._wanted: Map2DLocation | None = None
         self._number = self._sent = 0
+        self._taken_at, self._drove, self._denied = -math.inf, False, False
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="midspan-yarp-navigator", daemon=True)
         self._thread.start()
@@ -112,28 +118,40 @@ class YarpNavigator:
             return False
         if due:
             done = remote.goto_target_by_absolute_location_RPC(place) if place else remote.stop_navigation_RPC()
-            self._sent = number
+            self._sent, self._taken_at, self._drove, self._denied = number, time.monotonic(), False, not done
             if not done:
-                self._heard(number, State.FAILING, f"{self._port} refused the goal")
+                self._refused(number)
                 return True
         outcome, status = remote.get_navigation_status_RPC()
         if outcome:
-            self._heard(number, State(statusToString(status).removeprefix(_STATUS)), "")
+            self._heard(number, State(statusToString(status).removeprefix(_STATUS)))
         else:
             self._gone(f"{self._port} does not say how it is getting on")
         return True
 
-    def _heard(self, number: int, state: State, reason: str) -> None:
+    def _refused(self, number: int) -> None:
+        with self._lock:
+            if number == self._number:
+                self._state, self._reason = State.FAILING, f"{self._port} refused the goal"
+
+    def _heard(self, number: int, state: State) -> None:
         with self._lock:
             if number != self._number:
                 return  # of a goal before
-            if self._wanted is not None and state is State.IDLE and self._state is State.REACHED:
-                return  # robotGoto becomes idle some time after it has arrived
-            self._state, self._reason = state, reason
+            if self._wanted is not None:
+                if self._denied:
+                    return  # whatever it does, it does not do it for us
+                self._drove = self._drove or not state.ended
+                if not self._drove and time.monotonic() < self._taken_at + GRACE:
+                    state = State.PREPARING
+                elif state is State.IDLE and self._state in _ENDS:
+                    return  # robotGoto becomes idle some time after it has arrived
+            self._state, self._reason = state, ""
 
     def _gone(self, why: str) -> None:
         with self._lock:
             self._state, self._reason = State.ERROR, why
+            self._taken_at, self._denied = -math.inf, False
             # a goal is not sent again by itself: the planner does that once the server is back; a stop is
             if self._wanted is not None:
                 self._sent = self._number

@@ -12,6 +12,7 @@ import pytest
 
 from navigation.constraints import Constraints
 from navigation.pose import Pose
+from navigation.robot_path_planner import yarp_navigator
 from navigation.robot_path_planner.yarp_navigator import YarpNavigator
 from navigation.status import State
 from tests.support.ports import free_port
@@ -31,7 +32,8 @@ class Goto:
     """A robotGoto that drives as the test says."""
 
     def __init__(self) -> None:
-        self.state, self.refuses = "idle", False
+        self.state, self.refuses, self.late = "idle", False, False
+        self.asked = 0
         self.goals: list[Map2DLocation] = []
         self.answers = threading.Event()
         self.answers.set()
@@ -41,12 +43,14 @@ class Goto:
         if self.refuses:
             raise CallFailed(ReturnCode.METHOD_FAILED, "no")
         self.goals.append(loc)
-        self.state = "moving"
+        if not self.late:
+            self.state = "moving"
 
     def stopNavigation(self) -> None:
         self.state = "idle"
 
     def getNavigationStatus(self) -> str:
+        self.asked += 1
         return self.state
 
 
@@ -113,7 +117,47 @@ def test_goals_and_their_end_cross(network: Network) -> None:
     network.goto.refuses = True
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
     network.becomes(State.FAILING)
-    assert "refused" in network.navigator.reason
+    asked = network.goto.asked
+    until(lambda: network.goto.asked > asked + 2, "it is asked on", 20)
+    assert (network.navigator.state, "refused" in network.navigator.reason) == (State.FAILING, True)
+
+
+@pytest.mark.parametrize("before", ["goal_reached", "idle", "aborted"])
+def test_how_the_goal_before_ended_is_not_believed_of_the_next(
+    network: Network, monkeypatch: pytest.MonkeyPatch, before: str
+) -> None:
+    """A server may take a goal, and tell for a moment more how the one before ended."""
+    monkeypatch.setattr(yarp_navigator, "GRACE", 60.0)
+    network.becomes(State.IDLE)
+    goto = network.goto
+    goto.state, goto.late = before, True
+    network.becomes(State(before))
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    until(lambda: len(goto.goals) == 1, "the goal is taken", 20)
+    asked = goto.asked
+    until(lambda: goto.asked > asked + 2, "it is asked on", 20)
+    assert network.navigator.state is State.PREPARING
+    goto.state = "moving"
+    network.becomes(State.MOVING)
+    goto.state = before
+    network.becomes(State(before))
+
+
+def test_a_server_that_never_moves_is_believed_after_a_while(network: Network, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(yarp_navigator, "GRACE", 0.05)
+    network.becomes(State.IDLE)
+    network.goto.late, network.goto.state = True, "goal_reached"
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.becomes(State.REACHED)
+
+
+def test_a_goal_that_was_sent_to_nobody_is_forgotten(network: Network) -> None:
+    network.becomes(State.IDLE)
+    network.port.close()
+    network.becomes(State.ERROR)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    network.port = network.opened()
+    until(lambda: network.navigator.state is not State.ERROR, "the server is found again", 20)
 
 
 def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
