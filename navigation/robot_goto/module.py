@@ -160,9 +160,9 @@ class RobotGoto(Module):
         self._goal.end(State.IDLE, Fault.NONE, reason)
         self._tell(None)
 
-    def _give_up(self, why: str) -> None:
+    def _give_up(self, why: str, fault: Fault = Fault.NO_NAVIGATOR) -> None:
         """Stand still although nobody cancelled the goal."""
-        self._goal.end(State.ABORTED, Fault.NO_NAVIGATOR, why)
+        self._goal.end(State.ABORTED, fault, why)
         self.stop_driving(why)
 
     def halt(self) -> dict[str, Any]:
@@ -200,13 +200,17 @@ class RobotGoto(Module):
     # what happens
 
     def _step(self) -> None:
+        try:
+            self._drive()
+        except Exception as err:
+            self._told.stand_still()
+            self._give_up(f"RobotGoto failed: {type(err).__name__}: {err}", Fault.OTHER)
+            raise
+
+    def _drive(self) -> None:
         pose = self._pose_now()
         moved = self._moved(pose)
-        try:
-            command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
-        except BaseException:
-            self._told.stand_still()
-            raise
+        command = self.driver.step(self.now(), pose, None if moved is pose else moved, self._lost)
         self._told.command(command, silent=self.driver.silent)
         self._tell(pose)
         self._told.around(self.now(), self.driver, pose, moved)

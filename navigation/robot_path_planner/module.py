@@ -223,6 +223,19 @@ class RobotPathPlanner(Module):
     # what happens
 
     def _step(self) -> None:
+        try:
+            self._drive()
+        except Exception as err:
+            self._fail(f"RobotPathPlanner failed: {type(err).__name__}: {err}")
+            raise
+
+    def _fail(self, why: str) -> None:
+        """Stand still, and end the goal: what failed once fails again."""
+        self._local.cancel()
+        self._goal.end(State.ABORTED, Fault.OTHER, why)
+        self.planner.cancel(why)
+
+    def _drive(self) -> None:
         lost, pose = "", None
         try:
             pose = self.pose()

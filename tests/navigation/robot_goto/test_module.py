@@ -297,6 +297,23 @@ def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:
         assert client.remote.GetNavigationStatus()[1].startswith("navigation_status_")
 
 
+def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, driver = place.robot, place.module.driver
+    sent = robot.send(2.0, 0.0)
+    until(lambda: robot.commands and robot.commands[-1][0] > 0.0, "it drives", 20)
+
+    def step(*_: Any) -> None:
+        raise ZeroDivisionError("of the test")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(driver, "step", step)
+        status, result = sent.end()
+    assert (status, result["error_code"]) == (Status.ABORTED, Fault.OTHER)
+    assert result["error_msg"] == "RobotGoto failed: ZeroDivisionError: of the test"
+    until(lambda: robot.commands[-1] == (0.0, 0.0, 0.0), "it stands", 20)
+    assert robot.send(0.5, 0.0).end()[0] is Status.SUCCEEDED
+
+
 def test_halt_ends_every_goal(place: Goto) -> None:
     sent = place.robot.send(2.0, 0.0)
     until(lambda: place.robot.x > 0.05, "it drives", 30)

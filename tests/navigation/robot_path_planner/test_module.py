@@ -320,6 +320,27 @@ def test_a_navigator_that_fails_is_said(place: Planning) -> None:
     assert sent.end()[0] is Status.SUCCEEDED
 
 
+def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Planning, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, planner = place.robot, place.module.planner
+    robot.speed = 0.1
+    try:
+        sent = robot.send(4.0, 1.0)
+        until(lambda: robot.goal and robot.goal.status is Status.EXECUTING, "it drives", 20)
+
+        def step(*_: Any) -> None:
+            raise ZeroDivisionError("of the test")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(planner, "step", step)
+            status, result = sent.end()
+        assert (status, result["error_code"]) == (Status.ABORTED, Fault.OTHER)
+        assert result["error_msg"] == "RobotPathPlanner failed: ZeroDivisionError: of the test"
+        until(lambda: robot.goal and not robot.goal.active, "it stands", 20)
+    finally:
+        robot.speed = 3.0
+    assert robot.send(4.0, 1.0).end()[0] is Status.SUCCEEDED
+
+
 def test_a_navigator_that_pauses_in_a_deadlock_is_heard_and_told_to_go_on(place: Planning) -> None:
     robot, planner, reason = place.robot, place.module.planner, "deadlock: no progress for 20 s"
     robot.speed = 0.0
