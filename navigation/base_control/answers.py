@@ -22,7 +22,7 @@ class Taking(Protocol):
     def take(self, target: Input, velocity: Velocity, timeout: float | None = None) -> bool:
         """Give a command to its input; whether it is obeyed."""
 
-    def last(self, target: Input) -> Velocity:
+    def last(self, target: Input) -> Velocity | None:
         """The last command of an input while it holds."""
 
 
@@ -44,8 +44,10 @@ class Commands(INavigation2DVelocityActionsMsgs):
         return _OK if taken else _FAILED
 
     def getLastVelocityCommandRPC(self) -> tuple[ReturnValue, float, float, float]:
-        """What this input commands; zero where its last command has timed out."""
+        """What this input commands; it fails where its last command has timed out, as ``velocityInputHandler`` does."""
         velocity = self._doors.last(self._target)
+        if velocity is None:
+            return _FAILED, 0.0, 0.0, 0.0
         return _OK, velocity.x, velocity.y, math.degrees(velocity.turn)
 
 

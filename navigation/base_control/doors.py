@@ -120,10 +120,10 @@ class Doors:
         with self._lock:
             self.stale += 1
 
-    def last(self, target: Input) -> Velocity:
-        """The last command of an input while it holds; still where none does."""
+    def last(self, target: Input) -> Velocity | None:
+        """The last command of an input while it holds; None where none does."""
         found = target.last
-        return found[0] if found is not None and self._now() <= found[2] else Velocity()
+        return found[0] if found is not None and self._now() <= found[2] else None
 
 
 def of_twist(message: Mapping[str, Any]) -> Velocity:

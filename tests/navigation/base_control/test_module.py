@@ -164,9 +164,15 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
         until(lambda: "waiting" not in str((place.status("base_control") or {}).get("ports")), "all are open", 20)
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i", naming=names) as base:
             until(lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1], "by RPC", 20)
-            outcome, x, y, turn = base.getLastVelocityCommand()
-            assert outcome
-            assert (x, y, turn) == pytest.approx((0.1, 0.0, 90.0))
+
+            def told() -> bool:
+                base.drive(0.1, 0.0, 90.0)  # it holds for a fifth of a second
+                outcome, *velocity = base.getLastVelocityCommand()
+                assert velocity == pytest.approx([0.1, 0.0, 90.0] if outcome else [0.0, 0.0, 0.0])
+                return bool(outcome)
+
+            until(told, "the command is told while it holds", 20)
+            until(lambda: not base.getLastVelocityCommand()[0], "and not when its time is over", 20)
             assert not base.applyVelocityCommand(math.nan, 0.0, 0.0)
         until(lambda: base_input(place) == "", "the command input has given back", 20)
         velocity = MobileBaseVelocity(0.05, 0.0, 20.0)
