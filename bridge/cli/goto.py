@@ -169,7 +169,7 @@ def _drive(sent: SentGoal, goal: dict[str, Any], progress: Progress, timeout: fl
         raise CliError(f"the goal was lost: {clean(end)}")
     state, why = STATES.get(end["status"], f"state {end['status']}"), str(end["result"].get("error_msg", ""))
     if progress.as_json:
-        print(json_line({"status": state, "reason": why}), flush=True)
+        print(json_line({"status": state, "reason": why, "code": end["result"].get("error_code", 0)}), flush=True)
     elif end["status"] == SUCCEEDED:
         print("arrived")
     else:

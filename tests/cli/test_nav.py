@@ -122,7 +122,7 @@ def test_to_a_pose_and_an_end_that_is_none(rig: Rig, midspan: Midspan) -> None:
 
     outcome = beside(midspan, ["--json", "-1.5", "2.0", "-90"], refuse)
     assert outcome.code == 1
-    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there"}
+    assert outcome.lines()[-1] == {"status": "aborted", "reason": "no way leads there", "code": 9006}
 
 
 def test_in_any_heading(rig: Rig, midspan: Midspan) -> None:
