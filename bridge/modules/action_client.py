@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 FEEDBACK_DEPTH = 100
 
+CANCEL_AGAIN = 0.2
+"""Seconds after which a cancel whose call failed is asked for again."""
+
 Heard = Callable[[dict[str, Any]], None]
 
 
@@ -117,8 +120,21 @@ class ActionClient:
         self._result.call({"goal_id": {"uuid": list(goal.id)}}, goal.resulted)
 
     def cancel(self, goal_id: bytes = bytes(16)) -> None:
-        """Ask the server to cancel a goal; zeros for all."""
-        self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, lambda _reply: None)
+        """Ask the server to cancel a goal; zeros for all.
+
+        A stop must not get lost where the server cannot be called for a moment, as while a bridge before it looks who
+        is active: for a goal of its own it is asked until there is an answer, or the goal has ended.
+        """
+
+        def answered(reply: dict[str, Any] | CallError) -> None:
+            if isinstance(reply, CallError) and self.has(goal_id):
+                self._node.loop.after(CANCEL_AGAIN, again)
+
+        def again() -> None:
+            if self.has(goal_id):
+                self.cancel(goal_id)
+
+        self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, answered)
 
     def close(self) -> None:
         """Give its ends back; goals under way go on, and nothing more is heard of them."""

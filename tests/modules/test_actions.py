@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +13,7 @@ from bridge.hub.call import CallError
 from bridge.hub.session import Hub
 from bridge.messages.errors import ConversionError
 from bridge.messages.registry import Registry
+from bridge.modules.action_client import CANCEL_AGAIN
 from bridge.modules.action_server import Goal
 from bridge.modules.goal import Status
 from bridge.modules.loop import Loop
@@ -194,6 +196,33 @@ def test_one_goal_or_all_are_cancelled(two: Two) -> None:
     until(lambda: all(g.cancel_wanted for g in served.goals), "all are to end")
     two.on(two.server, lambda: [g.canceled() for g in served.goals])
     assert [sent.ended()[0] for sent in goals] == [Status.CANCELED] * 3
+
+
+def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(two: Two, monkeypatch: pytest.MonkeyPatch) -> None:
+    served = Served(two)
+    client = two.client.action_client("/lookup", LOOKUP)
+    until(lambda: client.ready and client._cancel.ready, "there is a server")
+    sent, asked, ask = Sent(two, client, "wait"), list[bytes](), client._cancel.call
+
+    def fails(request: dict[str, Any], replied: Callable[[Any], None]) -> None:
+        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
+        if len(asked) < 3 or served.goals[0].status is Status.CANCELED:
+            replied(CallError("no server"))
+        else:
+            ask(request, replied)
+
+    monkeypatch.setattr(client._cancel, "call", fails)
+    until(lambda: sent.goal.accepted, "it is accepted")
+    two.on(two.client, sent.goal.cancel)
+    until(lambda: served.goals[0].cancel_wanted, "the server heard it")
+    assert asked == [sent.goal.id] * 3
+    two.on(two.server, served.goals[0].canceled)
+    assert sent.ended()[0] is Status.CANCELED
+    two.on(two.client, sent.goal.cancel)
+    again = threading.Event()
+    two.client.loop.after(1.5 * CANCEL_AGAIN, again.set)
+    assert again.wait(40)
+    assert len(asked) == 4, "a goal that has ended is asked for no more"
 
 
 def test_a_server_that_leaves_ends_its_goals(two: Two) -> None:
