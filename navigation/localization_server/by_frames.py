@@ -22,7 +22,7 @@ from navigation.localization_server.messages import (
     pose_of,
     spatial,
 )
-from navigation.localization_server.source import Source
+from navigation.localization_server.source import Source, Start
 from navigation.maps.grid import to_grid
 from navigation.maps.turned import turned
 from navigation.messages import pose_message
@@ -64,19 +64,22 @@ class ByFrames(Source):
         topic = self._section.initialpose
         if not self._host.node.hub.graph.subscriptions(topic):
             raise RuntimeError(f"nobody hears {topic}: is the localiser there, and does a rule let it cross?")
-        if covariance is None:
-            metres, degrees = self._section.initial_spread
-            covariance = covariance_of(metres, math.radians(degrees))
-        self._starts.publish(
-            {"header": self._header(), "pose": {"pose": pose_message(pose), "covariance": spatial(covariance)}}
-        )
+        self._starts.publish(self._start_message(Start(pose, covariance)))
 
     def forget(self) -> None:
         """The clock was set back."""
         self._known = False
 
-    def _header(self) -> dict[str, Any]:
-        return {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame}
+    def _start_message(self, start: Start) -> dict[str, Any]:
+        """A start as ``geometry_msgs/PoseWithCovarianceStamped``."""
+        covariance = start.covariance
+        if covariance is None:
+            metres, degrees = self._section.initial_spread
+            covariance = covariance_of(metres, math.radians(degrees))
+        return {
+            "header": {"stamp": self._host.clock.stamp(), "frame_id": self._frames.map_frame},
+            "pose": {"pose": pose_message(start.pose), "covariance": spatial(covariance)},
+        }
 
 
 class Amcl(ByFrames):
@@ -87,7 +90,7 @@ class Amcl(ByFrames):
         node = host.node
         self._cloud = np.empty((0, 3))
         self._grid: MapGrid2D | None = None
-        self._due: tuple[MapGrid2D, Pose | None] | None = None
+        self._due: tuple[MapGrid2D, Start | None] | None = None
         self._map_trouble = ""
         self._set_map = node.client(section.set_map, "nav_msgs/srv/SetMap") if section.set_map else None
         node.subscription(section.amcl_pose, POSE_COVARIANCE, self._posed, _LATCHED)
@@ -113,10 +116,12 @@ class Amcl(ByFrames):
         """The particles that amcl told last."""
         return self._cloud
 
-    def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Have amcl take a map that came after its first one: it does not follow the topic."""
         first, self._grid = self._grid is None, grid
-        if not first and self._set_map is not None:
+        if first or self._set_map is None:
+            super().use_map(grid, start)
+        else:
             self._due = grid, start
             self._send_map()
 
@@ -133,18 +138,13 @@ class Amcl(ByFrames):
         (grid, start), self._due = self._due, None
         if start is None:
             try:
-                start = self._frames.pose()
+                start = Start(self._frames.pose())
             except FramesError:
-                start = Pose(0.0, 0.0, 0.0)
-        metres, degrees = self._section.initial_spread
-        covariance = spatial(covariance_of(metres, math.radians(degrees)))
+                start = Start(Pose(0.0, 0.0, 0.0))
         self._set_map.call(
             {
                 "map": to_grid(turned(grid), self._frames.map_frame, self._host.clock.now_ns()),
-                "initial_pose": {
-                    "header": self._header(),
-                    "pose": {"pose": pose_message(start), "covariance": covariance},
-                },
+                "initial_pose": self._start_message(start),
             },
             self._map_taken,
         )

@@ -20,8 +20,9 @@ from navigation.localization_server.messages import (
     pose_of,
     stamp_ns,
 )
-from navigation.localization_server.source import Source
+from navigation.localization_server.source import Source, Start
 from navigation.pose import Pose
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
 
 
@@ -100,6 +101,9 @@ class Given(Source):
     def initial(self, pose: Pose, covariance: Floats | None) -> None:  # noqa: ARG002 - whatever is said
         """Nobody asks us."""
         raise RuntimeError(f"where the robot is, {self.place} says; tell its publisher where it begins")
+
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
+        """Poses come as before: nobody asks us where it begins."""
 
     def forget(self) -> None:
         """The clock was set back."""

@@ -6,6 +6,7 @@ localiser or somebody else's, is a line of the configuration.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bridge.config.sections.localization_server import LocalizationServerSection
@@ -25,7 +26,7 @@ from navigation.localization_server.messages import POSE_COVARIANCE, plane_of, p
 from navigation.localization_server.motion import Motion
 from navigation.localization_server.other_server import OtherServer
 from navigation.localization_server.own import Own
-from navigation.localization_server.source import Source
+from navigation.localization_server.source import Source, Start
 from navigation.localization_server.told import Told
 from navigation.maps.grid import from_grid
 from navigation.pose import Pose
@@ -49,7 +50,7 @@ class LocalizationServer(Module):
         self._host, self._section = host, section
         self._frames = Frames(host, section.map_frame, section.base_frame, section.odom_frame)
         self._grid: MapGrid2D | None = None
-        self._start: tuple[str, Pose] | None = None
+        self._start: tuple[str, Start] | None = None
         self._resting = False
         self._trouble = ""
         self._motion = Motion()
@@ -62,8 +63,8 @@ class LocalizationServer(Module):
             tf=section.publish_tf and self._source.corrects,
             ahead=section.tf_tolerance,
         )
-        self._closing = [self._source.close]
-        self._take_maps()
+        self._leave_maps: Callable[[], object] = lambda: None
+        self._leave_maps = self._take_maps()
         if self._source.hears_starts:
             host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
         server = Localization2DServer(Device(self, host.loop.call))
@@ -72,6 +73,16 @@ class LocalizationServer(Module):
         host.on_jump(self._forget)
         host.every(section.period, self._tell)
         host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
+
+    def reload(self, section: Section) -> bool:
+        """Take maps from elsewhere: whoever says where the robot is goes on, and is given the map that comes."""
+        assert isinstance(section, LocalizationServerSection)
+        if self._section.model_copy(update={"map": section.map}) != section or section.source == "server":
+            return False
+        self._leave_maps()
+        self._section = section
+        self._leave_maps = self._take_maps()
+        return True
 
     def _made(self) -> Source:
         given = self._host, self._section, self._frames
@@ -121,9 +132,9 @@ class LocalizationServer(Module):
         if map_name in ("", self.map_name):
             self._source.initial(pose, covariance)
             return
-        if self._section.map not in (None, "store"):
+        if not self._of_store:
             raise RuntimeError(f"the map in use is {self.map_name!r}, of {self._section.map}, not {map_name!r}")
-        self._start = map_name, pose
+        self._start = map_name, Start(pose, covariance)
         try:
             self._host.store.use_map(map_name)
         except StoreError as err:
@@ -155,13 +166,20 @@ class LocalizationServer(Module):
 
     # maps
 
-    def _take_maps(self) -> None:
-        section, host = self._section, self._host
-        if section.map not in (None, "store"):
-            host.node.subscription(str(section.map), _GRID, self._grid_told, _LATCHED)
-            return
-        self._closing.append(host.store.watch(self._store_changed, MAP, CURRENT))
-        self._take_current()
+    @property
+    def _of_store(self) -> bool:
+        return self._section.map in (None, "store")
+
+    def _take_maps(self) -> Callable[[], object]:
+        """Hear of maps; what is given back ends it."""
+        host, topic = self._host, str(self._section.map)
+        if self._of_store:
+            end = host.store.watch(self._store_changed, MAP, CURRENT)
+            self._take_current()
+            return end
+        self._trouble = f"no map has come from {topic}"
+        heard = host.node.subscription(topic, _GRID, self._grid_told, _LATCHED)
+        return lambda: host.node.release(heard)
 
     def _store_changed(self, _change: object) -> None:
         """On the store's thread; many changes at once are taken up once."""
@@ -171,6 +189,8 @@ class LocalizationServer(Module):
 
     def _take_current(self) -> None:
         self._due = False
+        if not self._of_store:
+            return  # it was changed just before
         name = self._host.store.current_map()
         try:
             grid = self._host.store.get(MAP, name) if name else None
@@ -182,6 +202,8 @@ class LocalizationServer(Module):
             self._use(grid)
 
     def _grid_told(self, message: dict[str, Any]) -> None:
+        if self._of_store:
+            return  # it came just before
         topic = str(self._section.map)
         try:
             name = self._host.config.modules.map2d_server.taken_as(topic)
@@ -220,7 +242,7 @@ class LocalizationServer(Module):
     def health(self) -> Health:
         """Whether it knows where the robot is, and why not."""
         if self._grid is None and self._section.source in (None, "own"):
-            return Health("waiting", self._trouble or f"no map has come from {self._section.map}")
+            return Health("waiting", self._trouble)
         found = self.estimate()
         return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
 
@@ -242,8 +264,8 @@ class LocalizationServer(Module):
     def stop(self) -> None:
         """Say that nobody knows any more, so that who drives by it stands at once; hear no more."""
         self._told.tell(unknown("the localisation has ended"), None, None, self.map_name)
-        for close in self._closing:
-            close()
+        self._source.close()
+        self._leave_maps()
 
 
 def _same(one: MapGrid2D, other: MapGrid2D | None) -> bool:

@@ -14,10 +14,12 @@ from bridge.modules.host import Host
 from navigation.frames import Frames
 from navigation.localization_server.estimate import Estimate, Floats, Status
 from navigation.localization_server.given import Given
+from navigation.localization_server.source import Source, Start
 from navigation.pose import Pose
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.ilocalization2d import ILocalization2DMsgs, LocalizationStatusEnum
 from yarp_compat.dev.locations import Map2DLocation
+from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.sig.matrix import Matrix
 from yarp_compat.wire.errors import WireError
 
@@ -30,7 +32,7 @@ _PLANE = (3, 3)
 
 
 class OtherServer(Given):
-    """Gives on what another server says. Its pose is of the map that is in use here.
+    """Gives on what another server says of the map that is in use here.
 
     Args:
         host: the module's.
@@ -45,7 +47,7 @@ class OtherServer(Given):
         self, host: Host, section: LocalizationServerSection, frames: Frames, map_name: Callable[[], str]
     ) -> None:
         super().__init__(host, section, frames)
-        self._map_name = map_name
+        self._map_name, self._map = map_name, ""
         self._particles = np.empty((0, 3))
         self._theirs = Status.NOT_YET
         self._naming, self._post = host.yarp.naming, host.loop.post
@@ -83,6 +85,33 @@ class OtherServer(Given):
         with self._lock:
             self._wanted = place, Matrix(covariance)
             self._lock.notify()
+
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
+        """What it said before was of the map before."""
+        if grid.name != self._map:
+            self.forget()
+        self._map = grid.name
+        Source.use_map(self, grid, start)
+
+    def _place(self, location: Map2DLocation, covariance: Floats | None) -> None:
+        """Take where it says that the robot is, where that is on our map."""
+        if self._elsewhere(location):
+            self.forget()
+            self.refuse(
+                f"{self.place} says where the robot is on the map {location.map_id!r}, not on {self._map_name()!r},"
+                " which is in use here: change one of them (/change_map, setInitialPose)"
+            )
+            return
+        self.take(Pose(location.x, location.y, math.radians(location.theta)), covariance)
+
+    def _scatter(self, locations: list[Map2DLocation]) -> None:
+        here = [(one.x, one.y, math.radians(one.theta)) for one in locations if not self._elsewhere(one)]
+        self._particles = np.array(here).reshape(-1, 3)
+
+    def _elsewhere(self, location: Map2DLocation) -> bool:
+        """Whether it is on another map of the store; a topic's map has no name of its own."""
+        here = self._map_name() if self._section.map in (None, "store") else ""
+        return bool(here and location.map_id) and location.map_id != here
 
     def close(self) -> None:
         """Ask no more."""
@@ -133,14 +162,12 @@ class OtherServer(Given):
         if not whole.size:  # servers of YARP up to 4.0 answer so, without the location, though they know it
             outcome, location = remote.get_current_position1_RPC()
         if outcome and math.isfinite(location.x + location.y + location.theta):
-            pose = Pose(location.x, location.y, math.radians(location.theta))
             usable = whole.shape == _PLANE and np.isfinite(whole).all() and whole.any()
-            self._post(lambda: self.take(pose, whole if usable else None))
+            self._post(lambda: self._place(location, whole if usable else None))
         if cloud:
             outcome, locations = remote.get_estimated_poses_RPC()
             if outcome:
-                rows = [(one.x, one.y, math.radians(one.theta)) for one in locations]
-                self._post(lambda: setattr(self, "_particles", np.array(rows).reshape(-1, 3)))
+                self._post(lambda: self._scatter(locations))
 
 
 def _status(status: LocalizationStatusEnum) -> Status:

@@ -17,7 +17,7 @@ from navigation.localization_server.memory import Memory
 from navigation.localization_server.messages import stamp_ns
 from navigation.localization_server.scan import scan_points
 from navigation.localization_server.settings import Settings
-from navigation.localization_server.source import Source
+from navigation.localization_server.source import Source, Start
 from navigation.pose import Pose
 from navigation.scan import SCAN, ScanError, of_ros
 from yarp_compat.dev.mapgrid import MapGrid2D
@@ -88,21 +88,21 @@ class Own(Source):
         except ValueError as err:
             raise RuntimeError(str(err)) from None
 
-    def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:
         """Hold scans against another map, from where the robot is now unless somebody said."""
-        covariance = None
         before = self._localizer.estimate() if self._localizer else None
         if start is None and before is not None and before.pose is not None:
-            start, covariance = before.pose, before.covariance if self._map == grid.name else None
+            start = Start(before.pose, before.covariance if self._map == grid.name else None)
         self._map = grid.name
-        start = start or self._first()
+        if start is None and (first := self._first()) is not None:
+            start = Start(first)
         try:
             self._localizer = Localizer(grid, self._settings)
         except ValueError as err:
             self._localizer, self._trouble = None, str(err)
             return
         if start is not None:
-            self.initial(start, covariance)
+            self.initial(*start)
 
     def _first(self) -> Pose | None:
         """Where to begin, of what is known: where the robot was in this run, what the section says, where it was."""

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from navigation.localization_server.estimate import Estimate, Floats
 from navigation.pose import Pose
 from yarp_compat.dev.mapgrid import MapGrid2D
+
+
+class Start(NamedTuple):
+    """Where the robot is, as somebody said: on a map that is taken for it.
+
+    Attributes:
+        covariance: (3, 3) of x, y, theta: metres, radians; None: as sure as usual.
+    """
+
+    pose: Pose
+    covariance: Floats | None = None
 
 
 class Source(ABC):
@@ -39,8 +50,14 @@ class Source(ABC):
     def initial(self, pose: Pose, covariance: Floats | None) -> None:
         """Begin there; None: with the usual covariance. Raises `RuntimeError` with why it cannot."""
 
-    def use_map(self, grid: MapGrid2D, start: Pose | None) -> None:  # noqa: B027 - most need not
-        """Another map is in use, or the first; ``start`` is where the robot is on it, where somebody said so."""
+    def use_map(self, grid: MapGrid2D, start: Start | None) -> None:  # noqa: ARG002 - most need not know the map
+        """Another map is in use, or the first; ``start`` is where the robot is on it, where somebody said so.
+
+        Raises:
+            RuntimeError: it cannot begin there; the text says why.
+        """
+        if start is not None:
+            self.initial(*start)
 
     def rest(self, *, on: bool) -> None:  # noqa: B027 - most need not
         """Work no more, or again."""

@@ -289,6 +289,15 @@ def test_in_front_of_amcl(place: Place, robot: Robot) -> None:
         spread = np.diag([wide**2, wide**2, 0.1])
         amcl.publish({"header": {"frame_id": "map"}, "pose": {"covariance": spatial(spread)}})
         until(says(place, status, "" if status == OK else "3.0 m apart"), f"a spread of {wide} m is {status}", 20)
+    told = len(taken)
+    section = {"enabled": True, "period": 0.05, "source": "amcl"}
+    assert place.worker.reload(
+        place.config(modules={"localization_server": section}, navigation={"map": "/floor"}, store={})
+    )
+    robot.grid.flags[:5, :5] = MapFlag.WALL
+    robot.node.publisher("/floor", "nav_msgs/msg/OccupancyGrid", LATCHED, priority="state").publish(to_grid(robot.grid))
+    until(lambda: len(taken) > told, "amcl is given the map of another source, too", 20)
+    assert (from_grid(taken[-1]["map"], "floor").flags == robot.grid.flags).all()
     robot.localized = None
     until(says(place, "error", "localisation is stale"), "a dead amcl is told", 20)
 
@@ -361,6 +370,16 @@ def test_in_front_of_another_server(place: Place, robot: Robot, tmp_path: Path) 
             until(lambda: (tell(), says(second, OK)())[1], "the start is told to the other", 20, every=0.5)
             until(near(second, robot.pose), "it is where the other says", 20)
             until(lambda: said(second)["particles"] == 500, "with the other's particles", 20)
+            server = second.worker._running["localization_server"]._module
+            use(place, "lab2", robot)
+            until(says(second, "not_yet_localized", "on the map 'lab2', not on 'lab'"), "poses of another map", 20)
+            until(lambda: said(second)["particles"] == 0, "are not of this one", 20)
+            second.worker._stores.store.put(MAP, "lab2", robot.grid)
+            use(place, "lab", robot)
+            until(says(second, OK), "those of this one are taken again", 20)
+            server._host.loop.call(lambda: server.begin(robot.pose, None, "lab2"))
+            until(lambda: said(place)["map"] == "lab2", "the other is told where it begins on another map", 20)
+            until(lambda: says(second, OK)() and said(second)["map"] == "lab2", "it says where the robot is there", 20)
 
             def troubled() -> bool:
                 """A start that was still on its way has it wait for scans instead; the next time none is."""

@@ -1,0 +1,99 @@
+"""A start on another map than the one in use: with the map that is taken for it, and as sure as it was told."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bridge.config.sections.localization_server import LocalizationServerSection
+from navigation.localization_server.by_frames import Amcl
+from navigation.localization_server.messages import plane_of, pose_of
+from navigation.localization_server.module import LocalizationServer
+from navigation.localization_server.own import Own
+from navigation.localization_server.source import Start
+from navigation.pose import Pose
+from tests.navigation.test_frames import Said
+from yarp_compat.dev.mapgrid import MapFlag, MapGrid2D
+
+THERE = Start(Pose(0.5, 0.25, 1.0), np.diag([0.0004, 0.0009, 0.0001]))
+SECTION = LocalizationServerSection()
+
+
+def grid(name: str) -> MapGrid2D:
+    flags = np.zeros((20, 20), np.uint8)
+    flags[0] = MapFlag.WALL
+    return MapGrid2D.of(flags, name=name, resolution=0.1)
+
+
+class Outside:
+    """What sources and the module need of their host, and what they said to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.maps = {name: grid(name) for name in ("house", "cellar")}
+        self.current, self.folder, self.log = "house", folder, logging.getLogger(__name__)
+        self.said: list[tuple[str, dict[str, Any]]] = []
+        self.hearers = ["amcl"]
+        graph = SimpleNamespace(subscriptions=lambda _topic: self.hearers)
+        self.node = SimpleNamespace(
+            hub=SimpleNamespace(graph=graph),
+            subscription=lambda *_: None,
+            publisher=lambda topic, *_: SimpleNamespace(publish=lambda message: self.said.append((topic, message))),
+            client=lambda name, *_: SimpleNamespace(ready=True, call=lambda said, _: self.said.append((name, said))),
+        )
+        self.clock = SimpleNamespace(now_ns=lambda: 0, stamp=lambda: {"sec": 0, "nanosec": 0})
+        self.store = SimpleNamespace(
+            use_map=lambda name: setattr(self, "current", name),
+            current_map=lambda: self.current,
+            get=lambda _kind, name: self.maps[name],
+        )
+
+    def module(self, kind: Any, section: LocalizationServerSection = SECTION) -> LocalizationServer:
+        """The module, on the first map."""
+        made: Any = LocalizationServer()
+        made._host, made._section, made._source = self, section, kind(self, section, Said().frames)
+        made._grid = made._start = None
+        made._resting = False
+        made._take_current()
+        return made
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Outside:
+    return Outside(tmp_path)
+
+
+def test_our_own_localiser_is_as_sure_as_it_was_told(outside: Outside) -> None:
+    module: Any = outside.module(Own)
+    module.begin(*THERE, "cellar")
+    found = module.estimate()
+    assert module.map_name == "cellar"
+    assert found.pose[:3] == pytest.approx(THERE.pose[:3], abs=0.02)
+    assert np.diag(found.covariance) == pytest.approx(np.diag(THERE.covariance), rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("set_map", "before", "told"),
+    [("/set_map", "house", "/set_map"), ("/set_map", "", "/initialpose"), ("", "house", "/initialpose")],
+    ids=["a further map", "amcl has the first by itself", "it follows /map"],
+)
+def test_amcl_is_told(outside: Outside, set_map: str, before: str, told: str) -> None:
+    outside.current = before
+    module = outside.module(Amcl, SECTION.model_copy(update={"set_map": set_map}))
+    module.begin(*THERE, "cellar")
+    ((name, message),) = outside.said
+    assert name == told
+    start = message.get("initial_pose", message)["pose"]
+    assert pose_of(start["pose"])[:3] == pytest.approx(THERE.pose[:3])
+    assert plane_of(start["covariance"]) == pytest.approx(THERE.covariance)
+
+
+def test_nobody_hears_it(outside: Outside) -> None:
+    outside.hearers = []
+    module = outside.module(Amcl, SECTION.model_copy(update={"set_map": ""}))
+    with pytest.raises(RuntimeError, match="nobody hears /initialpose"):
+        module.begin(*THERE, "cellar")
