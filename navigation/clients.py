@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from bridge.modules.action_server import ActionServer, Goal
@@ -65,7 +65,20 @@ class FarClients:
     def __init__(self, host: Host, server: ActionServer, gone: Callable[[Goal], None]) -> None:
         self._hub, self._server, self._gone = host.node.hub, server, gone
         self._known: dict[bytes, _Far] = {}
+        server.met = self._meet
         host.loop.every(_EVERY, self._look)
+
+    def _meet(self, goal: Goal) -> None:
+        """As it comes: whoever sent it may be cut off before the next look."""
+        if goal.client:
+            self._known[goal.id] = far = _Far()
+            self._see(far, goal, self._hub.neighbours())
+
+    def _see(self, far: _Far, goal: Goal, near: Collection[str]) -> None:
+        session = self._hub.graph.zid_of(goal.client)
+        far.near = far.near or session in near
+        far.seen = far.seen or bool(session)
+        far.missed = 0 if session else far.missed + 1
 
     def _look(self) -> None:
         goals = [goal for goal in self._server.active if goal.client]
@@ -74,9 +87,7 @@ class FarClients:
             return
         near = self._hub.neighbours()
         for goal in goals:
-            far, session = self._known[goal.id], self._hub.graph.zid_of(goal.client)
-            far.near = far.near or session in near
-            far.seen = far.seen or bool(session)
-            far.missed = 0 if session else far.missed + 1
+            far = self._known[goal.id]
+            self._see(far, goal, near)
             if far.seen and not far.near and far.missed >= _LOOKS:
                 self._gone(goal)

@@ -122,7 +122,11 @@ module's own may be busy."""
 
 
 class ActionServer:
-    """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread."""
+    """Serves one action; made by `bridge.modules.node.Node.action_server`. All runs on the module's thread.
+
+    Attributes:
+        met: called with each goal as it comes.
+    """
 
     def __init__(
         self,
@@ -150,6 +154,7 @@ class ActionServer:
         node.server(names.cancel_goal, CANCEL, self._cancelled, at_once)
         self._sending = node.server(names.send_goal, types.send_goal, self._sent)
         self._clients_of = names.send_goal
+        self.met: Callable[[Goal], object] = lambda _goal: None
 
     @property
     def active(self) -> list[Goal]:
@@ -183,6 +188,7 @@ class ActionServer:
             self, goal_id, request["goal"], stamp, self._sending.caller
         )
         self._starting = True
+        self.met(goal)
         try:
             accepted = self._take(goal)
         except BaseException:

@@ -43,10 +43,11 @@ class Machines:
         wait = {"timeout_ms": 1000 if refused else 30_000}
         return {"mode": "client", "connect": wait, "transport": {"link": {"tls": tls}}}
 
+    def settings(self, name: str) -> HubSettings:
+        return HubSettings(router=self.place, zenoh=self.zenoh_config(name), node=name or "nobody", shared_memory=False)
+
     def hub(self, name: str) -> Hub:
-        return Hub.open(
-            HubSettings(router=self.place, zenoh=self.zenoh_config(name), node=name or "nobody", shared_memory=False)
-        )
+        return Hub.open(self.settings(name))
 
     def session(self, name: str | None, mode: str = "client") -> zenoh.Session:
         """A plain zenoh session: of another machine, or with None of this one."""

@@ -24,9 +24,9 @@ class World:
         )
         looks: list[Any] = []
         loop = SimpleNamespace(every=lambda _seconds, look: looks.append(look))
-        server: Any = type("Server", (), {"active": property(lambda _: self.goals)})()
+        self.server: Any = type("Server", (), {"active": property(lambda _: self.goals)})()
         host: Any = SimpleNamespace(node=SimpleNamespace(hub=hub), loop=loop)
-        FarClients(host, server, self.gone.append)
+        FarClients(host, self.server, self.gone.append)
         (self._look,) = looks
 
     def look(self, times: int = 5) -> list[Any]:
@@ -41,6 +41,18 @@ def test_who_is_cut_off_loses_its_goal() -> None:
     world.seen.clear()
     assert world.look(2) == [], "a link may be made again"
     assert world.look(1) == [world.goal]
+
+
+def test_who_is_cut_off_before_the_first_look_loses_its_goal_too() -> None:
+    world = World()
+    world.server.met(world.goal)
+    world.seen.clear()
+    assert world.look(3) == [world.goal]
+    world = World()
+    world.near.add("there")
+    world.server.met(world.goal)
+    world.seen.clear()
+    assert world.look() == [], "it is of this machine"
 
 
 @pytest.mark.parametrize("why", ["of this machine", "never seen", "unnamed", "back in time", "ended"])

@@ -1,0 +1,83 @@
+"""A navigation goal of another machine, by TLS through the robot's door."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.modules.worker import ModulesWorker
+from tests.hub.machines import Machines, make_keys
+from tests.navigation.gateway.rig import Asked, Planner, Program, pose
+from tests.support.wait import until
+
+
+class Robot:
+    """A robot with a gateway and a planner, whose door is open; ``friend`` may command it, ``guest`` may not."""
+
+    def __init__(self, folder: Path) -> None:
+        self.machines = Machines(make_keys(folder))
+        network = self.machines.network
+        network.start_router()
+        sections = {"navigation": {"planner": "robot_goto"}, "yarp": {"enabled": False}}
+        config = {"name": "robot", "state": folder / "state", "hub": network.config(), **sections}
+        self.worker = ModulesWorker()
+        self.worker.start(Config.model_validate(config))
+        self.planner = Planner(network.settings("robot_goto"), "robot_goto")
+        gateway = self.worker._running["gateway"]._module.gateway
+        until(lambda: gateway.link.ready, "the planner is found", 20)
+
+    def operator(self, name: str) -> Program:
+        return Program(self.machines.settings(name))
+
+    def close(self) -> None:
+        self.planner.close()
+        self.worker.stop()
+        self.machines.network.stop_router()
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    made = Robot(tmp_path_factory.mktemp("robot"))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_the_operators_goal_its_feedback_and_its_end_cross(robot: Robot) -> None:
+    operator = robot.operator("friend")
+    try:
+        asked = Asked(operator, pose(2.0, 1.0))
+        goal = robot.planner.until(1)
+        assert goal.goal["pose"]["pose"]["position"]["x"] == 2.0
+
+        def driving() -> bool:
+            robot.planner.on(lambda: goal.feedback({"distance_remaining": 1.5}))
+            return bool(asked.feedback)
+
+        until(driving, "the operator hears how far it is", 20)
+        robot.planner.give_up(goal, "a door is closed")
+        assert asked.end() == ("ABORTED", "a door is closed")
+        asked = Asked(operator, pose(3.0))
+        goal = robot.planner.until(2)
+        asked.cancel()
+        assert asked.end()[0] == "CANCELED"
+        Asked(operator, pose(4.0))
+        goal = robot.planner.until(3)
+    finally:
+        operator.close()
+    until(lambda: not goal.active, "nobody is left who could cancel it", 20)
+
+
+def test_a_goal_of_a_machine_that_is_not_trusted_is_none(robot: Robot) -> None:
+    guest, before = robot.operator("guest"), len(robot.planner.goals)
+    try:
+        asked = Asked(guest, pose(1.0))
+        until(lambda: asked.ended, "the guest is told", 30)
+        assert asked.sent.accepted is not True
+        assert len(robot.planner.goals) == before
+    finally:
+        guest.close()
