@@ -11,7 +11,17 @@ import sys
 
 import zenoh
 
-ENDS = ("goal_reached", "aborted", "failing", "error", "idle")
+GO_TO, STATUS = "robot/go_to", "robot/navigation"
+ENDS = ("goal_reached", "aborted", "idle")
+SILENCE = 5.0
+
+
+def newest(session: zenoh.Session) -> dict | None:
+    """How the robot gets on now: a status is kept for whoever asks."""
+    for reply in session.get(STATUS, timeout=30):
+        if reply.ok:
+            return json.loads(reply.ok.payload.to_bytes())
+    return None
 
 
 def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
@@ -20,8 +30,9 @@ def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
     config.insert_json5("connect/endpoints", json.dumps([router]))
     heard: queue.Queue[dict] = queue.Queue()
     with zenoh.open(config) as session:
-        session.declare_subscriber("robot/navigation", lambda sample: heard.put(json.loads(sample.payload.to_bytes())))
-        for reply in session.get("robot/go_to", payload=json.dumps({"name": name}), timeout=30):
+        session.declare_subscriber(STATUS, lambda sample: heard.put(json.loads(sample.payload.to_bytes())))
+        last = newest(session)  # of what the robot did before
+        for reply in session.get(GO_TO, payload=json.dumps({"name": name}), timeout=30):
             if not reply.ok:
                 sys.exit(reply.err.payload.to_string())
             said = json.loads(reply.ok.payload.to_bytes())
@@ -31,12 +42,16 @@ def main(name: str, router: str = "tcp/127.0.0.1:7447") -> int:
             break
         else:
             sys.exit("nobody answers at robot/go_to")
-        begun = False
         while True:
-            status = heard.get(timeout=3600)
+            try:
+                status = heard.get(timeout=SILENCE)
+            except queue.Empty:  # told are changes alone; was one lost, or the robot?
+                status = newest(session) or sys.exit("the robot is not heard any more")
+            if status == last:
+                continue
+            last = status
             print(status["state"], status["reason"], flush=True)
-            begun = begun or status["state"] not in ENDS
-            if begun and status["state"] in ENDS:
+            if status["state"] in ENDS:
                 return int(status["state"] != "goal_reached")
 
 
