@@ -28,6 +28,8 @@ from tests.support.ros2 import ROS2_PEER, ros2_domain, ros2_environment, ros2_py
 from tests.support.wait import until
 
 MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
+ANSWER_SECONDS = 5.0
+"""So long a worker of a busy machine has to answer; who is dead is not waited for."""
 
 
 class Deployment:
@@ -84,12 +86,12 @@ class Deployment:
         if self._watch is None:
             self._watch = Hub.open(self.settings("watch", "w"))
             self._open.append(_Closer(self._watch))
-        return [a.value for a in self._watch.ask("status", {}, timeout=1.0) if isinstance(a.value, dict)]
+        return [a.value for a in self._watch.ask("status", {}, timeout=ANSWER_SECONDS) if isinstance(a.value, dict)]
 
     def explain(self, topic: str) -> list[dict[str, Any]]:
         """What the workers decided of a topic."""
         assert self._watch is not None
-        answers = self._watch.ask("explain", {"topic": topic}, timeout=1.0)
+        answers = self._watch.ask("explain", {"topic": topic}, timeout=ANSWER_SECONDS)
         return [line for a in answers if isinstance(a.value, list) for line in a.value]
 
     def worker(self, side: str) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import contextlib
 import os
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ import psutil
 import yaml
 
 from bridge.hub.session import Hub, HubSettings
+from tests.interop.deployment import ANSWER_SECONDS, MIDSPAN
 from tests.support.peer import Peer
 from tests.support.ports import free_port
 from tests.support.process import Process
@@ -25,7 +25,6 @@ from tests.support.ros1 import RosMaster
 from tests.support.ros2 import ROS2_PEER, new_domain, ros2_environment, ros2_python
 from tests.support.wait import until
 
-MIDSPAN = [sys.executable, "-m", "bridge.cli.main"]
 STRING = "std_msgs/String"
 
 
@@ -102,13 +101,13 @@ class Daemon:
         if self.watch is None:
             settings = HubSettings(router=f"tcp/127.0.0.1:{self.port}", node="watch", shared_memory=False)
             self.watch = Hub.open(settings)
-        answers = self.watch.ask("status", {}, daemon=self.name, timeout=1.0)
+        answers = self.watch.ask("status", {}, daemon=self.name, timeout=ANSWER_SECONDS)
         return next((a.value for a in answers if isinstance(a.value, dict) and a.worker == side), {})
 
     def explain(self, side: str, topic: str) -> list[dict[str, Any]]:
         """What one of its workers decided of a topic."""
         assert self.watch is not None
-        answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=1.0)
+        answers = self.watch.ask("explain", {"topic": topic}, daemon=self.name, timeout=ANSWER_SECONDS)
         return next((a.value for a in answers if isinstance(a.value, list) and a.worker == side), [])
 
     def processes(self, side: str = "") -> list[psutil.Process]:
