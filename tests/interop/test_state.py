@@ -10,10 +10,10 @@ from tests.support.wait import until
 STRING = "std_msgs/String"
 
 
-def late(program: Any, topic: str, count: int, type_: str = STRING) -> list[dict]:
-    """What a late joiner gets."""
+def late(program: Any, topic: str, count: int, type_: str = STRING, seconds: float = 40) -> list[dict]:
+    """What a late joiner gets, once so many have come or the time is over."""
     heard = program.subscribe(topic, type_, latched=True, depth=100)
-    program.wait(heard, count, 5)
+    program.wait(heard, count, seconds)
     messages: list[dict] = program.wait(heard, count + 1, 0.5)
     program.drop(heard)
     return messages
@@ -30,7 +30,7 @@ def test_three_latched_ros1_publishers_reach_late_ros2_and_zenoh(running: Deploy
         assert sorted(m["data"] for m in late(joiner, "/note", 3)) == ["note 0", "note 1", "note 2"]
     # zenoh-ros2-sdk 0.1.8 asks the caches with zenoh's default consolidation, which gives it one answer for each key,
     # and it asks once, of the publishers that it knows by then
-    heard = until(lambda: late(sdk, "/note", 1), "zenoh-ros2-sdk joins late", 30)
+    heard = until(lambda: late(sdk, "/note", 1, seconds=5), "zenoh-ros2-sdk joins late", 30)
     assert {m["data"] for m in heard} <= {"note 0", "note 1", "note 2"}
     publishers[0].stop()
     running.until_route("ros2", "/note", "out", sources=2)
@@ -59,7 +59,7 @@ def test_whole_tf_static_of_three_broadcasters_both_ways(running: Deployment) ->
             broadcaster.publish(id_, transform(frame))
 
         def whole(joiner: Any = joiner, frames: list[str] = frames) -> bool:
-            got = late(joiner(), "/tf_static", 1, "tf2_msgs/TFMessage")
+            got = late(joiner(), "/tf_static", 1, "tf2_msgs/TFMessage", 5)
             return set(frames) <= {t["child_frame_id"] for m in got for t in m["transforms"]}
 
         until(whole, f"a late {side} joiner has {frames}", 30)
