@@ -146,7 +146,7 @@ def test_a_goal_is_cancelled_after_its_time_and_by_ctrl_c(midspan: Midspan, robo
     assert "0.3 s are over" in outcome.err
 
     def interrupt() -> None:
-        until(lambda: len(robot.goals) == 2, "the goal is there", 20)
+        until(lambda: len(robot.goals) == 2, "the goal is there")
         os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=interrupt)
@@ -158,7 +158,7 @@ def test_a_goal_is_cancelled_after_its_time_and_by_ctrl_c(midspan: Midspan, robo
 
 def test_a_server_that_leaves_ends_the_goal(midspan: Midspan, robot: Robot) -> None:
     def leave() -> None:
-        until(lambda: robot.goals, "the goal is there", 20)
+        until(lambda: robot.goals, "the goal is there")
         robot.node.close()
 
     thread = threading.Thread(target=leave)

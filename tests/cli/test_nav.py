@@ -146,7 +146,7 @@ def test_ctrl_c_cancels_and_so_does_the_time_out(rig: Rig, midspan: Midspan) -> 
     outcome = beside(midspan, ["--timeout", "0.5", "kitchen"], lambda: None)
     assert outcome.code == 1
     assert "0.5 s are over" in outcome.err
-    until(lambda: not rig.gateway.driving, "nothing drives", 20)
+    until(lambda: not rig.gateway.driving, "nothing drives")
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_status_pause_resume_and_stop(rig: Rig, midspan: Midspan) -> None:
     assert midspan("nav", "resume").out == "resumed\n"
     rig.planner.until(2)
     assert midspan("nav", "stop").code == 0
-    until(lambda: not rig.gateway.driving, "nothing drives", 20)
+    until(lambda: not rig.gateway.driving, "nothing drives")
 
 
 def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) -> None:
@@ -198,7 +198,7 @@ def test_the_path_is_told_and_drawn(rig: Rig, midspan: Midspan, tmp_path: Path) 
         goal = rig.planner.until(1)
         rig.state(State.MOVING)
         out.publish({"header": {"frame_id": "map"}, "poses": [pose(2.5, 4.0), pose(2.5, 1.0, math.pi / 2)]})
-        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is told", 20)
+        told = until(lambda: midspan("nav", "path", "--json").json(), "the path is told")
         assert told[1] == {"frame": "map", "x": 2.5, "y": 1.0, "theta_deg": pytest.approx(90.0)}
         assert midspan("nav", "path").out.splitlines()[0].split()[:3] == ["1", "2.50", "4.00"]
         shown = midspan("nav", "show", "--width", "100").out

@@ -49,7 +49,7 @@ def port(midspan: Midspan, name: str, peers: int) -> Any:
         ports = [p for p in told.json()["ports"] if p["port"] == name] if told.code == 0 else []
         return next((p for p in ports if len(p["peers"]) == peers), None)
 
-    return until(found, f"{peers} at {name}", 20)
+    return until(found, f"{peers} at {name}")
 
 
 def test_layout_profile_and_generation_are_told_with_their_reasons(place: Place, midspan: Midspan) -> None:

@@ -80,15 +80,15 @@ def test_a_terminal_drives(midspan: Midspan, monkeypatch: pytest.MonkeyPatch, he
         driving = threading.Thread(target=lambda: done.append(midspan("teleop")))
         driving.start()
         try:
-            until(lambda: heard, "it has begun", 20)
-            until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in heard)[1], "it drives", 10)
-            until(lambda: heard[-1] == (0.0, 0.0), "it stops when no key is held", 10)
-            until(lambda: (os.write(primary, b"\x1b[D"), (0.0, 0.5) in heard)[1], "it turns", 10)
+            until(lambda: heard, "it has begun")
+            until(lambda: (os.write(primary, b"i"), (0.2, 0.0) in heard)[1], "it drives")
+            until(lambda: heard[-1] == (0.0, 0.0), "it stops when no key is held")
+            until(lambda: (os.write(primary, b"\x1b[D"), (0.0, 0.5) in heard)[1], "it turns")
         finally:
             os.write(primary, b"x")
-            driving.join(10)
+            driving.join(40)
         assert done[0].code == 0
-        until(lambda: heard[-1] == (0.0, 0.0), "it ends with zero", 10)
+        until(lambda: heard[-1] == (0.0, 0.0), "it ends with zero")
         assert "+0.20" in done[0].out
     os.close(primary)
 

@@ -64,16 +64,16 @@ class Daemon:
         """Process ids of all starts of a worker so far."""
         return [int(words[1]) for words in self.events(worker, "start")]
 
-    def wait_started(self, worker: str, count: int = 1, seconds: float = 20.0) -> int:
+    def wait_started(self, worker: str, count: int = 1, seconds: float = 40.0) -> int:
         """Process id of a worker's start number ``count``."""
         until(lambda: len(self.pids(worker)) >= count, f"start {count} of {worker}", seconds)
         return self.pids(worker)[count - 1]
 
     def wait_ready(self, process: Process) -> None:
         """Wait until the daemon says that it is ready."""
-        until(lambda: "ready: " in process.output(), "ready", 20.0)
+        until(lambda: "ready: " in process.output(), "ready")
 
-    def wait_output(self, process: Process, text: str, seconds: float = 20.0) -> None:
+    def wait_output(self, process: Process, text: str, seconds: float = 40.0) -> None:
         """Wait for a text in what a process writes."""
         until(lambda: text in process.output(), f"{text!r} in:\n{process.output()}", seconds)
 

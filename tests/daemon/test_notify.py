@@ -14,7 +14,7 @@ import pytest
 
 from bridge.daemon.notify import Notifier
 from tests.daemon.daemon import Daemon
-from tests.support.process import Process
+from tests.support.process import Process, stands_still
 from tests.support.wait import until
 
 
@@ -35,7 +35,7 @@ class Systemd:
             except BlockingIOError:
                 return self.messages
 
-    def wait(self, text: str, seconds: float = 20.0) -> None:
+    def wait(self, text: str, seconds: float = 40.0) -> None:
         until(lambda: any(text in message for message in self.read()), f"{text} among {self.messages}", seconds)
 
     def count(self, text: str) -> int:
@@ -59,7 +59,7 @@ def test_ready_status_and_stopping(daemon: Daemon, systemd: Systemd) -> None:
     assert line in systemd.messages
     assert systemd.messages.index(line) < systemd.messages.index("READY=1")
     process.signal(signal.SIGTERM)
-    assert process.popen.wait(10) == 0
+    assert process.popen.wait(40) == 0
     systemd.wait("STOPPING=1")
 
 
@@ -95,6 +95,7 @@ def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Sy
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") >= fed + 3, "fed")
     process.signal(signal.SIGSTOP)
+    until(lambda: stands_still(process.pid), "it stands still")
     fed = systemd.count("WATCHDOG=1")
     time.sleep(1.5)  # longer than the watchdog's interval: the very case
     assert systemd.count("WATCHDOG=1") == fed
@@ -103,19 +104,19 @@ def test_watchdog_is_fed_and_starves_with_the_daemon(daemon: Daemon, systemd: Sy
 
 
 def test_watchdog_starves_when_the_loop_alone_hangs(daemon: Daemon, systemd: Systemd) -> None:
-    ticks = daemon.folder / "ticks"
-    command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks)]
+    ticks, hangs = daemon.folder / "ticks", daemon.folder / "hangs"
+    command = [sys.executable, "-m", "tests.daemon.hanging", str(daemon.file), str(ticks), str(hangs)]
     process = Process(command, {**daemon.env, **systemd.env})
     daemon.processes.append(process)
     systemd.wait("READY=1")
     fed = systemd.count("WATCHDOG=1")
     until(lambda: systemd.count("WATCHDOG=1") > fed, "fed")
     process.signal(signal.SIGUSR1)
-    time.sleep(1.0)  # what was under way is through
-    fed, ticked = systemd.count("WATCHDOG=1"), int(ticks.read_text())
+    until(hangs.exists, "it hangs")
+    fed, ticked = systemd.count("WATCHDOG=1"), ticks.stat().st_size
     time.sleep(1.5)  # longer than the watchdog's interval: the very case
     assert systemd.count("WATCHDOG=1") == fed
-    assert int(ticks.read_text()) > ticked
+    assert ticks.stat().st_size > ticked
     process.signal(signal.SIGKILL)
 
 

@@ -49,7 +49,7 @@ def test_refused_reload_and_restarts_are_told(daemon: Daemon) -> None:
     assert "unknown key 'hubb'" in said["refused"]
     assert [w["restarts"] for w in said["workers"] if w["worker"] == "ros1"] == [1]
     process.signal(signal.SIGTERM)
-    assert process.popen.wait(10) == 0
+    assert process.popen.wait(40) == 0
     assert not (daemon.folder / "state" / "test.daemon.sock").exists()
 
 

@@ -21,7 +21,7 @@ def test_starts_all_workers_and_stops_them_in_order(daemon: Daemon) -> None:
     pids = [daemon.wait_started(worker) for worker in WORKERS]
     assert all(alive(pid) for pid in pids)
     process.signal(signal.SIGTERM)
-    assert process.popen.wait(10) == 0
+    assert process.popen.wait(40) == 0
     assert not any(alive(pid) for pid in pids)
     output = process.output()
     for worker in ("ros1", "ros2"):
@@ -102,7 +102,7 @@ def test_hanging_worker_does_not_delay_the_stop_beyond_five_seconds(daemon: Daem
     pids = [daemon.wait_started(worker) for worker in WORKERS]
     begun = time.monotonic()
     process.signal(signal.SIGTERM)
-    assert process.popen.wait(20) == 0
+    assert process.popen.wait(40) == 0
     assert time.monotonic() - begun < 5.0  # the promise itself, not the machine's speed
     assert not any(alive(pid) for pid in pids)
 
@@ -114,7 +114,7 @@ def test_second_signal_stops_at_once(daemon: Daemon) -> None:
     process.signal(signal.SIGINT)
     daemon.wait_output(process, "ros1 is stopped")
     process.signal(signal.SIGINT)
-    assert process.popen.wait(10) == 0
+    assert process.popen.wait(40) == 0
     assert "did not stop in time" not in process.output()
     assert not alive(daemon.wait_started("ros1"))
 
@@ -132,7 +132,7 @@ def test_workers_end_with_a_killed_daemon_and_the_next_one_adopts_the_router(dae
     assert daemon.pids("router") == [router]
     assert len(daemon.pids("ros1")) == len(daemon.pids("ros2")) == 2
     second.signal(signal.SIGTERM)
-    assert second.popen.wait(10) == 0
+    assert second.popen.wait(40) == 0
     until(gone(router), "a router that a daemon started stops with the clean stop of its heir")
 
 
@@ -177,7 +177,7 @@ def test_second_daemon_is_refused(daemon: Daemon) -> None:
     first = daemon.start()
     daemon.wait_ready(first)
     second = daemon.start()
-    assert second.popen.wait(20) == 1
+    assert second.popen.wait(40) == 1
     assert f"a daemon named 'test' already runs (process {first.pid}" in second.output()
     assert "Traceback" not in second.output()
     assert [len(daemon.pids(worker)) for worker in WORKERS] == [1, 1, 1]
