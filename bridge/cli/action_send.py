@@ -113,7 +113,7 @@ class SentGoal:
         self._cancel = Caller(client, types, f"{part}cancel_goal")
         self.id = uuid.uuid4().bytes
         self._uuid = {"uuid": base64.b64encode(self.id).decode()}
-        self._asked = False
+        self._asked = self._cancel_failed = False
         self._news: SimpleQueue[_Feedback | _End] = SimpleQueue()
         self._feedback_type = f"{self.type_name}_FeedbackMessage"
         self._feedback_hash = types.hash_of(self._feedback_type)
@@ -144,6 +144,8 @@ class SentGoal:
         end = time.monotonic() + (_LONGEST * 24 * 365 if timeout is None else timeout)
         while True:
             self._interrupt.check()
+            if self._cancel_failed:
+                self._ask_cancel()
             each()
             try:
                 news = self._news.get(timeout=min(0.2, max(end - time.monotonic(), 0.0)) or 0.001)
@@ -156,9 +158,16 @@ class SentGoal:
             self._read(news.cdr, show)
 
     def cancel(self) -> None:
-        """Ask for its cancellation, also where it is not accepted yet."""
+        """Ask for its cancellation, also where it is not accepted yet; `follow` asks again where the call fails."""
         self._ask_result()
-        self._cancel.call({"goal_info": {"goal_id": self._uuid}}, lambda _reply: None)
+        self._ask_cancel()
+
+    def _ask_cancel(self) -> None:
+        def answered(reply: dict[str, Any] | CallError) -> None:
+            self._cancel_failed = isinstance(reply, CallError)
+
+        self._cancel_failed = False
+        self._cancel.call({"goal_info": {"goal_id": self._uuid}}, answered)
 
     def _ask_result(self) -> None:
         if not self._asked:
