@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from bridge.hub import attachment
+from bridge.hub import attachment, queries
 from bridge.hub.call import Abandon, CallError, Done
 from bridge.hub.keyexpr import topic_key
 from bridge.hub.service import HubClient, abandon_key
@@ -272,7 +272,10 @@ def test_what_a_plain_zenoh_program_and_a_malformed_request_get(network: HubNetw
         assert ask(payload=b"on") == (b"re on", None)
 
 
-def test_a_congested_or_strange_server_ends_a_call_without_a_reply(network: HubNetwork) -> None:
+def test_a_congested_or_strange_server_ends_a_call_without_a_reply(
+    network: HubNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queries, "_AT_ONCE", 40.0)  # however slow the machine is
     with Hub.open(network.settings("a")) as a, Hub.open(network.settings("b")) as b:
         key = topic_key(a.domain, "/do", SERVICE, HASH)
 

@@ -91,7 +91,7 @@ def test_thousand_calls_at_once_of_a_native_server(edge: RunningEdge, peer: Peer
 
 def test_held_call_blocks_no_other(edge: RunningEdge, peer: Peers, set_bool: Service) -> None:
     native = peer()
-    held = serve(native, "/s/held", held=True)
+    held = serve(native, "/s/held", held=True, depth=100)  # 30 replies at once: it keeps 10 for who is slow to hear
     serve(native, "/s/quick")
     edge.seen("/s/held", Kind.SERVER)
     edge.seen("/s/quick", Kind.SERVER)
