@@ -1,4 +1,4 @@
-"""The run fails when a test leaves a process or a thread behind; what takes longest begins first."""
+"""A run fails when a test leaves a process or a thread behind; what starts many programs begins first, two at once."""
 
 from __future__ import annotations
 
@@ -9,15 +9,22 @@ import threading
 import time
 import uuid
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
 
-_LONG = (
-    "fuzz", "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces", "examples",
+_REAL = (
+    "demo", "interop", "contract", "benchmarks", "daemon", "adapters", "faults", "interfaces", "examples", "hub", "cli",
     "navigation",
 )  # fmt: skip
-"""Folders with files that take up to a minute: the last ones are then short, so that no process of xdist ends alone."""
+"""Folders with files that start many programs and take up to a minute: they come first."""
+
+_LAST = "fuzz"
+"""A file that takes minutes and starts no program."""
+
+_FROM_THE_END = "gw2"
+"""The process of pytest-xdist that takes files from the end on."""
 
 _MARK = "MIDSPAN_TEST_RUN"
 _run = uuid.uuid4().hex
@@ -54,10 +61,24 @@ def pytest_sessionstart() -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put files that take long first; otherwise the order stays random."""
-    places = {name: place for place, name in enumerate(_LONG)}
+    """Put files that start many programs first; otherwise the order stays random."""
+    places = {name: place for place, name in enumerate(_REAL)} | {_LAST: len(_REAL) + 1}
     root = Path(__file__).parent
-    items.sort(key=lambda item: places.get(item.path.relative_to(root).parts[0], len(_LONG)))
+    items.sort(key=lambda item: places.get(item.path.relative_to(root).parts[0], len(_REAL)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Let one process of three take files from the other end: two at once, not three, start programs on two cores."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class FromBothEnds(LoadFileScheduling):
+        def _assign_work_unit(self, node: Any) -> None:
+            if node.gateway.id == _FROM_THE_END:
+                self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+            super()._assign_work_unit(node)
+
+    return FromBothEnds(config, log)
 
 
 def pytest_runtest_logfinish(nodeid: str) -> None:
