@@ -273,20 +273,22 @@ class Node:
         if FIELD in header:
             return self._visit(sock, header, self.uri)
         if "topic" in header:
-            error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
+            error = self._hand_over(sock, address, header)
             self._note_type(header, error)
-            return error and self._let_go(sock, header, error)
+            return error
         if "service" in header:
             return self._servers.admit(sock, header)
         return "neither a topic nor a service is named"
 
-    @staticmethod
-    def _let_go(sock: DeadlineSocket, header: Header, error: str) -> str:
-        """Greet a subscriber of a topic that is not published any more, see `bridge.adapters.ros1.ended`; "" or why."""
-        publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
-        farewell = ended.farewell(header) if publication is None or publication.closed else None
+    def _hand_over(self, sock: DeadlineSocket, address: Any, header: Header) -> str:
+        """Hand a subscriber to rospy, or let go who comes too late (see `bridge.adapters.ros1.ended`); "" or why."""
+        error = str(self._tcpros.topic_connection_handler(sock, address, header) or "")
+        farewell = ended.farewell(header) if error else None
         if farewell is None:
             return error
+        publication = registration.get_topic_manager().get_publisher_impl(header["topic"])
+        if publication is not None and not publication.closed:  # made anew meanwhile, or of another type
+            return str(self._tcpros.topic_connection_handler(sock, address, header) or "")
         sock.sendall(encode(farewell))
         sock.close()
         return ""
