@@ -29,10 +29,16 @@ SCALE = 0.03
 
 
 class RosLike:
-    """A program whose topics carry ROS's messages."""
+    """A program whose topics carry ROS's messages.
 
-    def __init__(self, peer: Any) -> None:
-        self._peer = peer
+    With ``hub``, another program there, it goes on when its command has come to the hub: the simulation waits for no
+    commands, and on a busy machine one of real time could come some of its ticks too late.
+    """
+
+    def __init__(self, peer: Any, hub: HubSide | None = None) -> None:
+        self._peer, self._hub = peer, hub
+        self._commands = hub.subscribe("/cmd_vel", TWIST) if hub is not None else 0
+        self._crossed = 0
         self._out = peer.advertise("/cmd_vel", TWIST)
         self._in = peer.subscribe("/odom", ODOMETRY)
         self._heard = 0
@@ -42,6 +48,8 @@ class RosLike:
         # what BaseControl does not drive by has values of its own: a crossing that mixed axes would be seen
         linear, angular = {"x": x, "y": 0.5, "z": 0.25}, {"x": 0.125, "y": 0.75, "z": turn}
         self._peer.publish(self._out, {"linear": linear, "angular": angular})
+        if self._hub is not None:
+            self._crossed = len(self._hub.wait(self._commands, self._crossed + 1, 0.5))
 
     def pose(self, after_ns: int) -> Pose:
         while self._last[0] < after_ns:
@@ -153,13 +161,14 @@ def moved(start: Pose, pose: Pose) -> Pose:
 CORNERS = ((SIDE, 0.0), (SIDE, SIDE), (0.0, SIDE), (0.0, 0.0))
 
 
+@pytest.mark.timeout(300)  # some hundred steps, each of which waits for four processes
 def test_squares_through_every_side(deployment: Deployment) -> None:
     robot = Robot(deployment)
     yarp = deployment.keep(YarpProgram(robot.names))
     programs: dict[str, Callable[[], Program]] = {
-        "rospy": lambda: RosLike(deployment.ros1()),
-        "rclpy": lambda: RosLike(deployment.ros2()),
-        "zenoh": lambda: RosLike(deployment.sdk()),
+        "rospy": lambda: RosLike(deployment.ros1(), robot.far),
+        "rclpy": lambda: RosLike(deployment.ros2(), robot.far),
+        "zenoh": lambda: RosLike(deployment.sdk(), robot.far),
         "YARP": lambda: yarp,
     }
     for name, made in programs.items():
