@@ -97,7 +97,8 @@ class Ros2Edge(Edge):
         profile = use_profile(self._config, self._state)
         self._prefix = profile.prefix
         if profile.segment and self._config.ros2.transport == "auto" and self._config.ros2.profile is None:
-            self._neighbours = neighbours.Neighbours(self._prefix, self._leave_shared_memory)
+            number = domain(self._config, os.environ)
+            self._neighbours = neighbours.Neighbours(self._prefix, number, self._leave_shared_memory)
         self._participant = Participant(self._config.ros2.node, domain(self._config, os.environ))
         self._loop = TakeLoop() if rcl.has_eventfd() else WaitSetLoop(self._participant)
         self._loop.start()

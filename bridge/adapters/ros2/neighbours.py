@@ -5,21 +5,30 @@ host. It does not see that one belongs to another user, or to a container with a
 nothing without a word. The prefix's bytes 4 and 5 are the low half of the process id (seen with Fast DDS 2.14.5), so a
 participant that can share memory with us has a process here with such an id, of our user, with Fast DDS loaded, and
 with the same /dev/shm.
+
+One that was killed just after it came has no process either, and stays on the graph until its lease ends. While fewer
+of the domain's ports are bound than participants of this host are known, somebody of them has died (a container that
+has a network of its own has another host's prefix).
 """
 
 from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 from bridge.adapters.keep import keep
 from bridge.adapters.ros2.mark import is_marked
+from bridge.adapters.ros2.spdp import discovery_ports
 from bridge.hub.pools import FOLDER
 
 CONFIRM_SECONDS = 1.0
 """A program that has just ended may still be on the graph, and has no process any more."""
+
+LEASE_SECONDS = 25.0
+"""A dead participant is gone by then, if it had Fast DDS's lease of 20 s."""
 
 _HOST = slice(0, 4)
 _PID = slice(4, 6)
@@ -32,16 +41,18 @@ class Neighbours:
 
     Args:
         own: our GUID prefix.
+        domain: the ROS domain.
         stranger: called once, when such a participant stays.
         proc: the process table.
     """
 
-    def __init__(self, own: bytes, stranger: Callable[[], None], proc: Path = Path("/proc")) -> None:
-        self._own, self._stranger, self._proc = own, stranger, proc
+    def __init__(self, own: bytes, domain: int, stranger: Callable[[], None], proc: Path = Path("/proc")) -> None:
+        self._own, self._domain, self._stranger, self._proc = own, domain, stranger, proc
         self._lock = threading.Lock()
         self._present: frozenset[bytes] = frozenset()
         self._ours: set[bytes] = set()
         self._timer: threading.Timer | None = None
+        self._since = 0.0
         self._done = False
 
     def follow(self, participants: Collection[bytes]) -> None:
@@ -50,9 +61,13 @@ class Neighbours:
             self._present = frozenset(participants)
             self._ours &= self._present
             if not self._done and self._timer is None and self._suspects():
-                self._timer = threading.Timer(CONFIRM_SECONDS, self._confirm)
-                self._timer.daemon = True
-                self._timer.start()
+                self._since = time.monotonic()
+                self._look_again()
+
+    def _look_again(self) -> None:
+        self._timer = threading.Timer(CONFIRM_SECONDS, self._confirm)
+        self._timer.daemon = True
+        self._timer.start()
 
     def _suspects(self) -> list[bytes]:
         suspects = []
@@ -68,8 +83,16 @@ class Neighbours:
             self._timer = None
             if self._done or not self._suspects():
                 return
+            if self._somebody_died() and time.monotonic() < self._since + LEASE_SECONDS:
+                self._look_again()
+                return
             self._done = True
         self._stranger()
+
+    def _somebody_died(self) -> bool:
+        here = {prefix for prefix in self._present if prefix[_HOST] == self._own[_HOST]} | {self._own}
+        bound = bound_ports(self._proc)
+        return bound is not None and len(bound.intersection(discovery_ports(self._domain))) < len(here)
 
     def _has_process(self, prefix: bytes) -> bool:
         return any(map(shares_memory, with_low_half(self._proc, int.from_bytes(prefix[_PID], "little"))))
@@ -106,6 +129,15 @@ def shares_memory(process: Path) -> bool:
         return False
     same_folder = (other.st_dev, other.st_ino) == (mine.st_dev, mine.st_ino)
     return same_folder and any(library in maps for library in _LIBRARIES)
+
+
+def bound_ports(proc: Path) -> set[int] | None:
+    """The UDP ports that sockets of this network namespace have (proc_net(5)); None where that is not to be known."""
+    try:
+        lines = (proc / "net/udp").read_text().splitlines()[1:]
+        return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def note(folder: Path) -> None:

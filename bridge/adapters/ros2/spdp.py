@@ -108,6 +108,11 @@ def _unicast_port(domain: int, number: int) -> int:
     return _multicast_port(domain) + 10 + 2 * number
 
 
+def discovery_ports(domain: int) -> range:
+    """The well-known ports of which each participant of a domain has one (DDSI-RTPS 2.5, 9.6.2.3)."""
+    return range(_unicast_port(domain, 0), _multicast_port(domain + 1), 2)
+
+
 def unicast_ports(domain: int, number: int) -> tuple[int, int]:
     """A participant's well-known ports of its own, for discovery and for data (DDSI-RTPS 2.5, 9.6.2.3)."""
     port = _unicast_port(domain, number)

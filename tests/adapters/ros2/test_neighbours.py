@@ -33,6 +33,11 @@ class Table:
         (self.folder / str(pid) / "maps").write_text(f"7f00-7f01 r-xp 00000000 08:01 1 {library}\n")
         (self.folder / str(pid) / "root").symlink_to(root)
 
+    def bind(self, *ports: int) -> None:
+        (self.folder / "net").mkdir(exist_ok=True)
+        lines = [f"{n}: 00000000:{port:04X} 00000000:0000 07 00000000:00000000" for n, port in enumerate(ports)]
+        (self.folder / "net/udp").write_text("\n".join(["  sl  local_address rem_address   st", *lines, ""]))
+
 
 @pytest.fixture
 def table(tmp_path: Path) -> Table:
@@ -47,7 +52,7 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
     def found(*participants: bytes, then: tuple[bytes, ...] | None = None, seconds: float = 40.0) -> bool:
         told = threading.Event()
-        watch = neighbours.Neighbours(OWN, told.set, table.folder)
+        watch = neighbours.Neighbours(OWN, 3, told.set, table.folder)
         watches.append(watch)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
@@ -91,6 +96,21 @@ def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
 
 def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
     assert not strangers(prefix(4711), then=(), seconds=0.3)
+
+
+def test_one_killed_as_it_came_is_no_stranger_until_its_lease_is_over(
+    table: Table, strangers: Callable[..., bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three participants of this host, two have a port of domain 3; the third has no process."""
+    table.add(70000)
+    table.bind(7400 + 3 * 250 + 10, 7400 + 3 * 250 + 12, 7400 + 3 * 250 + 13, 53, 7410)
+    there = (OWN, prefix(70000), prefix(4711))
+    assert not strangers(*there, seconds=0.3)
+    table.bind(8160, 8162, 8164)
+    assert strangers(*there), "it lives, in a container"
+    table.bind(8160, 8162)
+    monkeypatch.setattr(neighbours, "LEASE_SECONDS", 0.1)
+    assert strangers(*there), "it stays"
 
 
 def test_other_hosts_and_other_midspans_do_not_count(strangers: Callable[..., bool]) -> None:
