@@ -30,6 +30,7 @@ from bridge.adapters.ros1.actions.actions import Actions
 from bridge.adapters.ros1.actions.network import Network
 from bridge.adapters.ros1.environment import master_uri
 from bridge.adapters.ros1.graph import Link, Look
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.limits import raise_descriptor_limit
 from bridge.adapters.ros1.links import Links
@@ -70,6 +71,7 @@ class Ros1Edge(Edge):
         self._config, self._registry = config, registry
         self._ledger = Ledger(state)
         self._lanes = Lanes()
+        self._intake: Intake | None = None
         self._prober = Prober(self._lanes, self._caller, self._probed)
         self._names = names.NameTable()
         self._lock = threading.Lock()
@@ -106,6 +108,7 @@ class Ros1Edge(Edge):
 
         raise_descriptor_limit()
         self._listener = listener
+        self._intake = Intake() if Intake.available() else None
         uri = master_uri(self._config, os.environ)
         name = "/" + self._config.ros1.node.strip("/")
         servers = self._services.servers
@@ -131,6 +134,8 @@ class Ros1Edge(Edge):
         self._actions.stop()
         for opened in subscriptions:
             opened.close()
+        if self._intake is not None:
+            self._intake.stop()
         self._lanes.stop()
         if self._node is not None:
             self._node.stop()
@@ -354,6 +359,7 @@ class Ros1Edge(Edge):
             lanes=self._lanes, caller=lambda: self._caller() + suffix,
             doubt=self._prober.doubt, learned=self._prober.learned,
             refused=lambda reason, why: self._refuse(topic, reason, why), limit=self._config.limits.message_bytes,
+            intake=self._intake,
         )  # fmt: skip
         opened = _Open(self, subscription)
         with self._lock:

@@ -12,12 +12,14 @@ from collections.abc import Callable
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ProtocolError
+from bridge.adapters.ros1.intake import Intake
 
 _log = logging.getLogger(__name__)
 
 MAX_MESSAGE = 512 * 2**20
 """A publisher that announces a message of more bytes is taken for a liar, and its connection is closed."""
 
+_CLOSED = "the publisher closed the connection"
 _LENGTH = struct.Struct("<I")
 _CHUNK = 64 * 1024
 _LARGE = 32 * 1024
@@ -42,8 +44,9 @@ def keep_alive(sock: socket.socket) -> None:
 
 
 class Reader:
-    """Reads one publisher's messages on a thread of its own until the connection ends.
+    """Reads one publisher's messages until the connection ends.
 
+    Where an intake is given its thread reads them until a large one comes, else, and from then on, one of its own.
     The attributes without docstring are what rospy's bus statistics (rosnode info) ask of a connection.
     """
 
@@ -59,6 +62,7 @@ class Reader:
         ended: Callable[[str], None],
         refused: Refused,
         limit: int = MAX_MESSAGE,
+        intake: Intake | None = None,
     ) -> None:
         self.id = f"midspan-{next(_numbers)}"
         self.endpoint_id = uri
@@ -71,10 +75,20 @@ class Reader:
         self._sock.settimeout(None)
         keep_alive(self._sock)
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
+        self._intake, self._taken = intake, b""
+        self._started = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
         """Begin to read."""
+        self._started = True
+        try:
+            if self._intake is not None:
+                if not self._intake.add(self):
+                    self.abandon()
+                return
+        except OSError as err:
+            _log.warning("%s is read on its own: %s", self._thread.name, err)
         self._thread.start()
 
     def close(self) -> None:
@@ -82,8 +96,32 @@ class Reader:
         self.done = True
         with contextlib.suppress(OSError):
             self._sock.shutdown(socket.SHUT_RDWR)
-        if not self._thread.is_alive():
+        if not self._started:
             self._sock.close()
+
+    def take(self) -> Callable[[], None] | None:
+        """See `bridge.adapters.ros1.intake.Source`."""
+        try:
+            alone = self._take_small()
+        except BlockingIOError:
+            return None
+        except OSError as err:
+            return lambda err=err: self._end(str(err))  # type: ignore[misc]
+        except Exception as err:
+            _log.exception("reading %s failed", self._thread.name)
+            return lambda err=err: self._end(f"{type(err).__name__}: {err}")  # type: ignore[misc]
+        return self._go_on_alone if alone else None
+
+    def _go_on_alone(self) -> None:
+        try:
+            self._thread.start()
+        except RuntimeError as err:  # the system gives no more threads
+            self._end(str(err))
+
+    def abandon(self) -> None:
+        """See `bridge.adapters.ros1.intake.Source`."""
+        self.done = True
+        self._sock.close()
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -96,9 +134,9 @@ class Reader:
         )
 
     def _run(self) -> None:
-        trouble = "the publisher closed the connection"
+        trouble = _CLOSED
         try:
-            self._read()
+            self._read(self._taken)
         except OSError as err:
             trouble = str(err)
         except ProtocolError as err:
@@ -107,14 +145,45 @@ class Reader:
         except Exception as err:
             trouble = f"{type(err).__name__}: {err}"
             _log.exception("reading %s failed", self._thread.name)
+        self._end(trouble)
+
+    def _end(self, trouble: str) -> None:
         self._sock.close()
         if not self.done:
             self.done = True
             self._ended(trouble)
 
-    def _read(self) -> None:
+    def _take_small(self) -> bool:
+        """Deliver the whole small messages that have come; whether a large one is next.
+
+        Raises:
+            BlockingIOError: nothing has come.
+            OSError: the connection has ended.
+        """
+        more = self._sock.recv(_CHUNK, socket.MSG_DONTWAIT)
+        if not more:
+            raise ConnectionResetError(_CLOSED)
+        buffer, at, small = self._taken + more, 0, min(self._limit, MAX_MESSAGE, _LARGE)
+        end = len(buffer)
+        while end - at >= 4:
+            (size,) = _LENGTH.unpack_from(buffer, at)
+            if size > small or end - at - 4 < size:
+                self._taken = buffer[at:]
+                return bool(size > small)
+            self._hand_over(buffer[at + 4 : at + 4 + size])
+            at += 4 + size
+        self._taken = buffer[at:]
+        return False
+
+    def _hand_over(self, payload: bytes) -> None:
+        self.stat_bytes += len(payload) + 4
+        self.stat_num_msg += 1
+        if not self.done:
+            self._deliver(payload)
+
+    def _read(self, buffer: bytes = b"") -> None:
         """Small messages come many to a chunk; after a large one, the next is read in one piece, without a copy."""
-        buffer, at, size = b"", 0, 0
+        at, size = 0, 0
         while not self.done:
             left = len(buffer) - at
             if left < 4:
@@ -144,10 +213,7 @@ class Reader:
                     return
                 payload = buffer[at:] + rest if left > 4 else rest
                 buffer, at = b"", 0
-            self.stat_bytes += size + 4
-            self.stat_num_msg += 1
-            if not self.done:
-                self._deliver(payload)
+            self._hand_over(payload)
 
     def _skip(self, count: int) -> bool:
         """Read so many bytes and forget them; False where the connection ends before."""

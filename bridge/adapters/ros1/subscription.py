@@ -22,6 +22,7 @@ from bridge.adapters.base import Deliver
 from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
 from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import connect
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.probe import HANDSHAKE_SECONDS, Facts
 from bridge.adapters.ros1.reader import Reader, Refused
@@ -91,9 +92,11 @@ class Subscription:
         learned: Callable[[Link, Facts], None],
         refused: Refused,
         limit: int,
+        intake: Intake | None,
     ) -> None:
         self.topic = topic
         self._md5, self._deliver, self._refused, self._limit = md5, deliver, refused, limit
+        self._intake = intake
         self._lanes, self._caller, self._doubt, self._learned = lanes, caller, doubt, learned
         self._lock = threading.Lock()
         self._sources: dict[Link, _Source] = {}
@@ -157,7 +160,7 @@ class Subscription:
             sock, self.topic, link.uri,
             lambda payload: self._deliver(payload, endpoint, None),
             lambda trouble: self._ended(link, source, trouble),
-            self._refused, self._limit,
+            self._refused, self._limit, self._intake,
         )  # fmt: skip
         with self._lock:
             wanted = self._sources.get(link) is source

@@ -11,13 +11,15 @@ import pytest
 
 from bridge.adapters.ros1 import reader as module
 from bridge.adapters.ros1.deadline import DeadlineSocket
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.reader import Reader
+from tests.support.wait import until
 
 
 class Connection:
     """A publisher's end, and a reader at the other one."""
 
-    def __init__(self) -> None:
+    def __init__(self, intake) -> None:
         listener = socket.create_server(("127.0.0.1", 0))
         with listener:
             ours = socket.create_connection(listener.getsockname())
@@ -27,7 +29,13 @@ class Connection:
         self.trouble = ""
         self.over = threading.Event()
         self.reader = Reader(
-            DeadlineSocket(fileno=ours.detach()), "/t", "http://x/", self.messages.append, self.ended, self.refused
+            DeadlineSocket(fileno=ours.detach()),
+            "/t",
+            "http://x/",
+            self.messages.append,
+            self.ended,
+            self.refused,
+            intake=intake,
         )
         self.reader.start()
 
@@ -44,14 +52,20 @@ class Connection:
         assert self.over.wait(40)
         return self.messages
 
+    def until_closed(self) -> None:
+        until(lambda: self.reader.fileno() == -1, "its socket is closed", 40)
 
-@pytest.fixture
-def connection():
-    made = Connection()
+
+@pytest.fixture(params=[False, True], ids=["alone", "intake"])
+def connection(request):
+    intake = Intake() if request.param else None
+    made = Connection(intake)
     yield made
     made.reader.close()
     made.publisher.close()
-    made.reader._thread.join(40)
+    made.until_closed()
+    if intake is not None:
+        intake.stop()
 
 
 def frame(payload):
@@ -134,6 +148,6 @@ def test_nothing_is_told_after_close(connection):
     connection.reader.close()
     with contextlib.suppress(OSError):
         connection.publisher.sendall(frame(b"late"))
-    connection.reader._thread.join(40)
+    connection.until_closed()
     assert not connection.over.is_set()
     assert connection.messages == []
