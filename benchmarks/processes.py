@@ -31,7 +31,7 @@ class Processes:
     def __init__(self, config: Mapping[str, Any]) -> None:
         self._children: dict[str, Child] = {}
         self._memory: set[Path] = set()
-        self.place = place = Place(None, config)
+        self.place = place = Place(None, config, yarp=False)  # whose worker would carry every topic too
         try:
             (place.system_path / "benchmarks").symlink_to(Path(benchmarks.__path__[0]))
             self._ros1 = place.ros1_environment(requirements.ros1_packages(place.config))

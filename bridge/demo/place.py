@@ -44,9 +44,12 @@ class Place:
         template: configuration file whose rules the demo's daemon runs with; what names the place is replaced.
         more: configuration laid over the template's.
         ports: whether topics have YARP ports, as the demo's YARP program expects them.
+        yarp: whether there is a YARP network.
     """
 
-    def __init__(self, template: Path | None, more: Mapping[str, Any] | None = None, *, ports: bool = True) -> None:
+    def __init__(
+        self, template: Path | None, more: Mapping[str, Any] | None = None, *, ports: bool = True, yarp: bool = True
+    ) -> None:
         self._hold: socket.socket | None = None
         self.folder = Path(tempfile.mkdtemp(prefix="midspan-demo-", dir=_base()))
         try:
@@ -57,7 +60,7 @@ class Place:
             self.system_path.mkdir()
             (self.system_path / "bridge").symlink_to(Path(bridge.__file__).parent)
             self.config_file = self.folder / "demo.yaml"
-            self.config = self._write_config(template, more or {}, ports=ports)
+            self.config = self._write_config(template, more or {}, ports=ports and yarp, yarp=yarp)
         except BaseException:
             self.close()
             raise
@@ -117,7 +120,7 @@ class Place:
             self._hold.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _write_config(self, template: Path | None, more: Mapping[str, Any], *, ports: bool) -> Config:
+    def _write_config(self, template: Path | None, more: Mapping[str, Any], *, ports: bool, yarp: bool) -> Config:
         base: dict[str, Any] = {}
         if template is not None:
             load(template)  # its mistakes are told with file and line
@@ -132,7 +135,7 @@ class Place:
             "hub": {"listen": f"tcp/127.0.0.1:{self.router_port}", "domain": self.domain, "router": True},
             "ros1": {"enabled": True, "master": self.master},
             "ros2": {"enabled": True, "domain": self.domain},
-            "yarp": {"enabled": True, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
+            "yarp": {"enabled": yarp, "nameserver": "embedded", "address": f"127.0.0.1:{self.yarp_port}"},
         }
         self.config_file.write_text(yaml.safe_dump(_merged(base, own), sort_keys=False), encoding="utf-8")
         return load(self.config_file)
