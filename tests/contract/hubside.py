@@ -131,7 +131,8 @@ class HubSide:
         if client is None:
             client = self.hub.client(service, name, self.registry.service_ros2(name).type_id)
             self._clients[service] = client
-        until(lambda: client.ready, f"a server of {service} on the hub", 60)
+        # its token comes after all that a server before it took back
+        until(lambda: self.hub.graph.servers(service) and client.ready, f"a server of {service} on the hub", 60)
         return Calling(self.registry, name, request, client.call)
 
     def route(self, topic: str, direction: str) -> dict[str, Any] | None:

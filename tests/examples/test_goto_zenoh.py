@@ -74,9 +74,13 @@ def test_it_hears_the_end_alone(robot: Robot, example: Any, end: str, code: int)
 
 
 def test_it_hears_nothing_and_asks(robot: Robot, example: Any, capsys: pytest.CaptureFixture[str]) -> None:
-    robot.goes = lambda: setattr(robot, "now", status(2, "goal_reached"))
-    assert example.main("kitchen", robot.place) == 0
-    assert capsys.readouterr().out.splitlines() == ["drives", "goal_reached "], "the end before is not its own"
+    def goes() -> None:
+        robot.says(status(1, "goal_reached"))  # it is told again how the goal before ended
+        robot.now = status(2, "aborted")
+
+    robot.goes = goes
+    assert example.main("kitchen", robot.place) == 1
+    assert capsys.readouterr().out.splitlines() == ["drives", "aborted "], "the end before is not its own"
 
 
 def test_a_planner_that_is_waited_for_is_no_end(robot: Robot, example: Any) -> None:

@@ -156,6 +156,7 @@ def test_a_goal_that_was_sent_to_nobody_is_forgotten(network: Network) -> None:
     network.port.close()
     network.becomes(State.ERROR)
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    until(lambda: network.navigator._sent == network.navigator._number, "it is not sent later", 20)
     network.port = network.opened()
     until(lambda: network.navigator.state is not State.ERROR, "the server is found again", 20)
 
