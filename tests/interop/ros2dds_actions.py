@@ -65,6 +65,7 @@ class Sent:
         self._client = ActionClient(bridge, params["action"])
         self._id = {"goal_id": {"uuid": [number] * 16}}
         asked = {**self._id, "goal": params["goal"]}
+        until(lambda: bridge.tokens(params["action"], "AS"), f"{params['action']} is announced", params["seconds"])
 
         def answered() -> Any:
             """The plugin's client has no reply before the other side's server is there."""

@@ -9,15 +9,25 @@ from collections.abc import Callable
 import zenoh
 
 from bridge.adapters.base import Kind
-from bridge.adapters.zenoh.ros2dds_tokens import Token, action_key, action_of, alive_key, token_key
+from bridge.adapters.zenoh.ros2dds_tokens import ACTION_PARTS, Token, action_key, action_of, alive_key, token_key
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import SideType
+
+_END_OF = {
+    Kind.SERVER: Kind.SERVER, Kind.PUBLISHER: Kind.SERVER, Kind.CLIENT: Kind.CLIENT, Kind.SUBSCRIPTION: Kind.CLIENT
+}  # fmt: skip
+"""The end of an action that a part of this kind is of."""
+
+_NAMING = "_SendGoal", "_GetResult"
+"""The types of parts that tell the action's."""
 
 
 class Announcer:
     """Our own tokens: one for each key and kind, with the QoS of the most that we offer or ask for there.
 
-    An action has one token for the whole, as long as its goals or its results are served or called by us.
+    An action has one token for the whole, as long as its goals or its results are served or called by us. A server's
+    comes once all five of its parts are there, as the plugin's does (``src/node_info.rs``): who sends a goal
+    then hears its first feedback.
 
     The plugin takes up a route when the first token of a session for a key comes, and drops it when any of them goes;
     so the old token goes before one with another QoS comes (its ``src/routes_mgr.rs``).
@@ -35,9 +45,7 @@ class Announcer:
         """Announce a topic or a service until the returned function is called."""
         token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
         action = action_of(key)
-        if action and not side_type.name.endswith(("_SendGoal", "_GetResult")):
-            return lambda: None
-        place = kind, action or key
+        place = (_END_OF[kind], action) if action else (kind, key)
         with self._lock:
             self._wanted.setdefault(place, []).append(token)
             self._settle(place)
@@ -50,10 +58,8 @@ class Announcer:
         return withdraw
 
     def _settle(self, place: tuple[Kind, str]) -> None:
-        wanted = self._wanted[place]
-        token = max(wanted, key=lambda t: (t.qos.latched, t.qos.depth)) if wanted else None
-        text = "" if token is None else action_key(token) if action_of(token.key) else token_key(token)
-        told = self._told.get(place)
+        wanted, told = self._wanted[place], self._told.get(place)
+        text = _text(wanted, begun=told is not None)
         if told is not None and told[0] == text:
             return
         if told is not None:
@@ -61,10 +67,27 @@ class Announcer:
             told[1].undeclare()  # type: ignore[no-untyped-call]
         if text:
             self._told[place] = text, self._session.liveliness().declare_token(text)
-        else:
+        if not wanted:
             del self._wanted[place]
 
     def close(self) -> None:
         """Leave."""
         with self._lock, contextlib.suppress(zenoh.ZError):
             self._alive.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _text(wanted: list[Token], *, begun: bool) -> str:
+    """The key of the token that says all of these, "" where there is nothing to say yet.
+
+    Args:
+        wanted: a topic's, a service's or one end of an action's parts.
+        begun: it has been said already.
+    """
+    if not wanted:
+        return ""
+    if not action_of(wanted[0].key):
+        return token_key(max(wanted, key=lambda t: (t.qos.latched, t.qos.depth)))
+    named = [token for token in wanted if token.type.endswith(_NAMING)]
+    served = any(token.kind is Kind.SERVER for token in named)
+    whole = len({token.key for token in wanted}) == ACTION_PARTS
+    return action_key(named[-1]) if named and (begun or whole or not served) else ""

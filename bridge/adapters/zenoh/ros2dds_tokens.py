@@ -27,6 +27,9 @@ _ACTIONS = {"AS": (Kind.SERVER, Kind.PUBLISHER), "AC": (Kind.CLIENT, Kind.SUBSCR
 _LETTERS = {kind: letters for letters, kind in (_TOPICS | _SERVICES).items()}
 _ACTION_LETTERS = {Kind.SERVER: "AS", Kind.CLIENT: "AC"}
 _MIDDLES = {"M": "msg", "S": "srv", "A": "action"}
+ACTION_PARTS = 5
+"""Three services and two topics."""
+
 _MAX_TOKEN = 4096
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPE = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
