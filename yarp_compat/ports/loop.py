@@ -53,13 +53,16 @@ class Loop:
         self._cancelled = 0
         self._order = itertools.count()
         self._running = True
+        self._over = False
         self.users = 0
         self._thread = threading.Thread(target=self._run, name="yarp-loop", daemon=True)
         self._thread.start()
 
     def call(self, callback: Callable[[], None]) -> None:
-        """Have the thread call it soon."""
+        """Have the thread call it soon; the caller does so itself where the thread has ended."""
         self._calls.append(callback)
+        if self._over:
+            self._make_calls()
         with contextlib.suppress(OSError):
             self._wake_out.send(b"\0")
 
@@ -124,16 +127,25 @@ class Loop:
     def _run(self) -> None:
         self._selector.register(self._wake_in, selectors.EVENT_READ, self._woken)
         while self._running:
-            pause = max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None
-            for key, events in self._selector.select(pause):
-                self._do(functools.partial(key.data, events))
+            self._look(max(0.0, self._timers[0].at - time.monotonic()) if self._timers else None)
             while self._timers and self._timers[0].at <= time.monotonic():
                 self._do(heapq.heappop(self._timers).callback or _nothing)
-            while self._calls:
-                self._do(self._calls.popleft())
+            self._make_calls()
+        self._look(0.0)  # a connection that was closed since the last look still has its socket
+        self._over = True
+        self._make_calls()
         self._selector.close()
         self._wake_in.close()
         self._wake_out.close()
+
+    def _look(self, pause: float | None) -> None:
+        for key, events in self._selector.select(pause):
+            self._do(functools.partial(key.data, events))
+
+    def _make_calls(self) -> None:
+        with contextlib.suppress(IndexError):
+            while True:
+                self._do(self._calls.popleft())
 
     def _woken(self, _: int) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -355,6 +355,8 @@ class Output:
             self.closed = True
             if self._current is not None and not self._current.done:
                 self.counters.dropped["lost"] += 1
-        self._dispose()
-        if not told:
-            self._lost(self)
+        try:
+            if not told:
+                self._lost(self)  # before who waits goes on: nobody is to find this connection then
+        finally:
+            self._dispose()

@@ -1,0 +1,33 @@
+"""The thread that ports share, and how it ends."""
+
+from __future__ import annotations
+
+import selectors
+import socket
+import threading
+
+from tests.support.wait import until
+from yarp_compat.ports.loop import Loop
+
+
+def test_what_is_ready_when_it_is_told_to_end_is_still_looked_at() -> None:
+    loop, hold, seen = Loop(), threading.Event(), list[int]()
+    near, far = socket.socketpair()
+    with near, far:
+        loop.call(hold.wait)
+        loop.call(lambda: loop.watch(near, selectors.EVENT_READ, seen.append))
+        stopping = threading.Thread(target=loop.stop)
+        stopping.start()
+        until(lambda: len(loop._calls) == 2, "it is told to end right after it began to watch")
+        far.shutdown(socket.SHUT_RDWR)
+        hold.set()
+        stopping.join()
+    assert seen == [selectors.EVENT_READ]
+
+
+def test_what_it_is_told_after_its_end_is_done_by_who_tells_it() -> None:
+    loop, seen = Loop(), list[threading.Thread]()
+    loop.stop()
+    loop.call(lambda: seen.append(threading.current_thread()))
+    loop.run(lambda: seen.append(threading.current_thread()))
+    assert seen == [threading.current_thread()] * 2
