@@ -9,14 +9,17 @@ from collections.abc import Callable
 import zenoh
 
 from bridge.adapters.base import Kind
-from bridge.adapters.zenoh.ros2dds_tokens import ACTION_PARTS, Token, action_key, action_of, alive_key, token_key
+from bridge.adapters.zenoh.ros2dds_tokens import (
+    ACTION_PARTS,
+    Token,
+    action_end,
+    action_key,
+    action_of,
+    alive_key,
+    token_key,
+)
 from bridge.hub.qos import Qos
 from bridge.messages.conversion import SideType
-
-_END_OF = {
-    Kind.SERVER: Kind.SERVER, Kind.PUBLISHER: Kind.SERVER, Kind.CLIENT: Kind.CLIENT, Kind.SUBSCRIPTION: Kind.CLIENT
-}  # fmt: skip
-"""The end of an action that a part of this kind is of."""
 
 _NAMING = "_SendGoal", "_GetResult"
 """The types of parts that tell the action's."""
@@ -45,7 +48,7 @@ class Announcer:
         """Announce a topic or a service until the returned function is called."""
         token = Token(self._zid, kind, key, side_type.name, side_type.type_id, qos)
         action = action_of(key)
-        place = (_END_OF[kind], action) if action else (kind, key)
+        place = (action_end(kind), action) if action else (kind, key)
         with self._lock:
             self._wanted.setdefault(place, []).append(token)
             self._settle(place)

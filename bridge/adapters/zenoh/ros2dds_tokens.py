@@ -20,16 +20,15 @@ from bridge.hub.qos import Durability, History, Qos, Reliability
 from bridge.messages.parts import CANCEL_GOAL
 
 ALL = "@/*/@ros2_lv/**"
+ACTION_PARTS = 5
+"""Three services and two topics."""
 _SLASH = "§"
 _TOPICS = {"MP": Kind.PUBLISHER, "MS": Kind.SUBSCRIPTION}
 _SERVICES = {"SS": Kind.SERVER, "SC": Kind.CLIENT}
 _ACTIONS = {"AS": (Kind.SERVER, Kind.PUBLISHER), "AC": (Kind.CLIENT, Kind.SUBSCRIPTION)}
 _LETTERS = {kind: letters for letters, kind in (_TOPICS | _SERVICES).items()}
-_ACTION_LETTERS = {Kind.SERVER: "AS", Kind.CLIENT: "AC"}
+_ACTION_LETTERS = {ends[0]: letters for letters, ends in _ACTIONS.items()}
 _MIDDLES = {"M": "msg", "S": "srv", "A": "action"}
-ACTION_PARTS = 5
-"""Three services and two topics."""
-
 _MAX_TOKEN = 4096
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 _TYPE = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
@@ -71,6 +70,11 @@ def action_key(part: Token) -> str:
     """The key of the token of the action that a service is the goals' or the results' of."""
     action, type_name = action_of(part.key), part.type.rpartition("_")[0]
     return f"{alive_key(part.zid)}/{_ACTION_LETTERS[part.kind]}/{_escape(action)}/{_escape(type_name)}"
+
+
+def action_end(kind: Kind) -> Kind:
+    """The end of an action that a part of this kind is of: its server's or its client's."""
+    return next(ends[0] for ends in _ACTIONS.values() if kind in ends)
 
 
 def action_of(key: str) -> str:
