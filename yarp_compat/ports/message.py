@@ -41,10 +41,11 @@ class Message:
         replied: the reply.
         is_plain: the reply is sent as it is on text carriers too.
         is_last: the connection ends behind the reply.
+        is_retired: the port closes: it waits no more for a reply from another thread, nor does who sent the request.
     """
 
     __slots__ = (
-        "_answered", "_later", "_retired", "envelope", "is_last", "is_plain", "payload", "peer", "replied",
+        "_answered", "_later", "envelope", "is_last", "is_plain", "is_retired", "payload", "peer", "replied",
         "wants_reply",
     )  # fmt: skip
 
@@ -57,7 +58,7 @@ class Message:
         self.is_plain = False
         self.is_last = False
         self._later: threading.Event | None = None
-        self._answered = self._retired = False
+        self.is_retired = self._answered = False
 
     def reply(self, payload: Payload, *, plain: bool = False) -> None:
         """Answer; once, and only where a reply is wanted (elsewhere it goes nowhere).
@@ -83,7 +84,7 @@ class Message:
     def later(self) -> None:
         """Say, before ``on_message`` returns, that the reply comes from another thread: the connection waits for it."""
         self._later = threading.Event()
-        if self._retired:
+        if self.is_retired:
             self.give_up()
 
     def retire(self) -> bool:
@@ -92,7 +93,7 @@ class Message:
         Returns:
             whether a reply still comes: the owner gave it, or has the message at this moment.
         """
-        self._retired = True
+        self.is_retired = True
         if self._later is None or self._answered:
             return True
         self.give_up()
@@ -105,7 +106,14 @@ class Message:
             self._later.set()
 
     def wait(self) -> Payload | None:
-        """The reply, or None; waits where it was said to come later."""
+        """The reply, or None; waits where it was said to come later.
+
+        Raises:
+            ConnectionAbortedError: it was to come later, and the port has closed before it did.
+        """
         if self._later is not None:
             self._later.wait()
+            if self.is_retired and self.replied is None:
+                msg = "the port closed before the reply came"
+                raise ConnectionAbortedError(msg)
         return self.replied

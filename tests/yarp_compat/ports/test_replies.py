@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -62,8 +63,15 @@ def test_reply_from_another_thread(make_port: MakePort) -> None:
     assert got == [HELLO]
 
 
-def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort) -> None:
-    server = make_port("/server", Message.later)
+def _as_it_closes(message: Message) -> None:
+    until(lambda: message.is_retired, "the port's end")
+    message.later()
+
+
+@pytest.mark.parametrize("owner", [Message.later, _as_it_closes])
+def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner: Callable[[Message], None]) -> None:
+    """Also where the owner puts it off when the port closes already: an empty reply would be one."""
+    server = make_port("/server", owner)
     client = make_port("/client")
     client.add_output("/server")
     failed: list[Exception] = []
