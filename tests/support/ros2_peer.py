@@ -214,9 +214,9 @@ class Peer:
 
 
 def qos(params: dict[str, Any]) -> Any:
-    """The profile that a command asks for."""
+    """The profile that a command asks for; deep enough for a burst, else, that a starved program takes late."""
     profile: Any = QoSProfile(  # type: ignore[no-untyped-call]
-        depth=params.get("depth") or 10,
+        depth=params.get("depth") or (10 if params.get("latched") else 100),
         durability=DurabilityPolicy.TRANSIENT_LOCAL if params.get("latched") else DurabilityPolicy.VOLATILE,
         reliability=ReliabilityPolicy.BEST_EFFORT if params.get("best_effort") else ReliabilityPolicy.RELIABLE,
     )

@@ -202,7 +202,7 @@ def test_a_publisher_that_numbers_its_samples(place: Place) -> None:
         assert place.far.wait(heard, 1) == [{"data": "kept"}]
         publisher.put(ROS2.encode(STRING, {"data": "new"}))
         assert place.far.wait(heard, 2) == [{"data": "kept"}, {"data": "new"}]
-        assert place.route(SIDE, "/state", "in")["messages"] == 2
+        until(lambda: place.route(SIDE, "/state", "in")["messages"] == 2, "both are counted")
         token.undeclare()
         alive.undeclare()
         place.far.until_unpublished("/state")
