@@ -32,6 +32,7 @@ class Loop:
         self._name = name
         self._condition = threading.Condition()
         self._ready: deque[Action] = deque()
+        self._calls: set[_Call] = set()
         self._timers: list[tuple[float, int, Timer]] = []
         self._numbers = itertools.count()
         self._closed = False
@@ -53,28 +54,23 @@ class Loop:
         """Run an action on the thread and return its result, or raise what it raised.
 
         Raises:
-            TimeoutError: the thread has not come to it in time.
+            TimeoutError: the thread has not come to it in time, or has ended.
         """
         if threading.current_thread() is self._thread:
             return action()
-        done = threading.Event()
-        result: list[Any] = []
-        error: list[BaseException] = []
-
-        def run() -> None:
-            try:
-                result.append(action())
-            except BaseException as err:
-                error.append(err)
-            done.set()
-
-        self.post(run)
-        if not done.wait(seconds):
+        call = _Call(action)
+        with self._condition:
+            if self._closed:
+                raise self._ended()
+            self._calls.add(call)
+            self._ready.append(lambda: self._answer(call))
+            self._condition.notify()
+        if not call.done.wait(seconds):
             msg = f"{self._name} has not answered for {seconds:g} s"
             raise TimeoutError(msg)
-        if error:
-            raise error[0]
-        return result[0]
+        if call.error is not None:
+            raise call.error
+        return call.result
 
     def every(self, seconds: float, action: Action) -> Timer:
         """Run an action every so many seconds; a time that was missed is left out."""
@@ -94,14 +90,29 @@ class Loop:
         return 0.0 if since is None else time.monotonic() - since
 
     def close(self, seconds: float = 2.0) -> None:
-        """End the thread once the action at hand is done; the others are dropped. Safe to call twice."""
+        """End the thread once the action at hand is done; the others are dropped, and who waits for one is told.
+
+        Safe to call twice, and on the thread itself.
+        """
         with self._condition:
             self._closed = True
             self._ready.clear()
             self._timers.clear()
+            waiting, self._calls = self._calls, set()
             self._condition.notify()
+        for call in waiting:
+            call.fail(self._ended())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(seconds)
+
+    def _ended(self) -> TimeoutError:
+        """A kind of time-out, for who calls: the answer does not come."""
+        return TimeoutError(f"{self._name} has ended")
+
+    def _answer(self, call: _Call) -> None:
+        with self._condition:
+            self._calls.discard(call)
+        call.run()
 
     def _put(self, due: float, timer: Timer) -> None:
         with self._condition:
@@ -136,6 +147,29 @@ class Loop:
                     return self._ready.popleft()
                 self._condition.wait(self._timers[0][0] - now if self._timers else None)
         return None
+
+
+class _Call:
+    """An action that somebody waits for, and what came of it once it is done."""
+
+    def __init__(self, action: Callable[[], Any]) -> None:
+        self._action = action
+        self.done = threading.Event()
+        self.result: Any = None
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        """Run the action."""
+        try:
+            self.result = self._action()
+        except BaseException as err:
+            self.error = err
+        self.done.set()
+
+    def fail(self, error: BaseException) -> None:
+        """It is not run."""
+        self.error = error
+        self.done.set()
 
 
 class Timer:

@@ -179,8 +179,10 @@ class Ports:
         return port
 
     def _run(self) -> None:
-        while not self._closed:
+        while True:
             self._wake.clear()
+            if self._closed:  # looked at after the event is cleared: `close` sets it before the event
+                return
             waiting = [port for port in list(self._ports) if port.trouble]
             for port in waiting:
                 if self._closed:

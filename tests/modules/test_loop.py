@@ -95,3 +95,31 @@ def test_after_the_end_nothing_is_taken() -> None:
     loop.post(lambda: ran.append(1))
     loop.after(0, lambda: ran.append(2))
     assert not ran
+
+
+def test_who_waits_for_a_loop_that_ends_is_told_at_once() -> None:
+    loop = Loop("an ending loop")
+    gate, errors = threading.Event(), list[str]()
+    loop.start()
+    loop.post(lambda: gate.wait(40))
+
+    def ask() -> None:
+        try:
+            loop.call(lambda: None, seconds=40)
+        except TimeoutError as err:
+            errors.append(str(err))
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    until(lambda: len(loop._ready) == 1, "the call waits")
+    loop.close(seconds=0)
+    asking.join(20)
+    assert errors == ["an ending loop has ended"], "the step that is under way need not be over"
+    with pytest.raises(TimeoutError, match="has ended"):
+        loop.call(lambda: None, seconds=40)
+    gate.set()
+    loop.close()
+
+
+def test_a_loop_that_ends_itself_still_answers_for_its_last_step(loop: Loop) -> None:
+    assert loop.call(lambda: (loop.close(), "the last word")[1]) == "the last word"

@@ -1,0 +1,52 @@
+"""A module's YARP ports, without its host."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import pytest
+
+from bridge.config.model import Config
+from bridge.modules.ports import Ports
+from tests.support.ports import free_port
+from tests.support.wait import until
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Config:
+    yarp = {"address": f"127.0.0.1:{free_port()}", "namespace": "/root", "ip": "127.0.0.1"}
+    return Config.model_validate({"name": "here", "state": tmp_path, "yarp": yarp})
+
+
+class Held(threading.Event):
+    """An event that is set again by another thread while the ports' own is about to clear it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.armed, self.clearing, self.set_again = False, threading.Event(), threading.Event()
+
+    def set(self) -> None:
+        super().set()
+        if self.clearing.is_set():
+            self.set_again.set()
+
+    def clear(self) -> None:
+        if self.armed:
+            self.clearing.set()
+            assert self.set_again.wait(40)
+        super().clear()
+
+
+def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    ports, wake = Ports(config), Held()
+    monkeypatch.setattr(ports, "_wake", wake)
+    monkeypatch.setattr(ports, "_open", lambda port: setattr(port, "trouble", ""))
+    ports.output("/said:o")
+    until(lambda: not ports.trouble(), "the port is open")
+    wake.armed = True
+    wake.set()
+    assert wake.clearing.wait(40)
+    ports.close()
+    assert ports._thread is not None
+    assert not ports._thread.is_alive()
