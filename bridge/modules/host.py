@@ -46,7 +46,6 @@ class Host:
         self._stores = stores
         self.log = logging.getLogger(f"midspan.{name}")
         self.loop = Loop(f"midspan-{name}")
-        self._timers: list[Timer | ClockTimer] = []
         hub = Hub.open(
             HubSettings(
                 domain=config.hub.domain,
@@ -90,18 +89,9 @@ class Host:
 
     def every(self, seconds: float, action: Callable[[], Any]) -> Timer | ClockTimer:
         """Run an action every so many seconds of the run's clock, on the module's thread."""
-        timer = (
-            ClockTimer(self.clock, self.loop, seconds, action)
-            if self.clock.simulated
-            else self.loop.every(seconds, action)
-        )
-        self._timers.append(timer)
-        return timer
-
-    def end_timers(self) -> None:
-        """Run nothing again and again any more: what a module says as it stops is its last word."""
-        for timer in self._timers:
-            timer.close()
+        if self.clock.simulated:
+            return ClockTimer(self.clock, self.loop, seconds, action)
+        return self.loop.every(seconds, action)
 
     def _acknowledge(self, now: int) -> None:
         """Tell a simulation that the module has done what was due at a time: its timers' actions were posted before."""

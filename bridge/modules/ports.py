@@ -111,7 +111,7 @@ class Ports:
             received = Received(message, self._profile)
             try:
                 answer = respond(received.values)
-            except (ValueError, WireError) as err:
+            except (ValueError, WireError, TimeoutError) as err:  # the last: of the module's thread
                 answer = ["[fail]", str(err)]
             if message.wants_reply:
                 received.reply(answer if isinstance(answer, Portable) else begun_by_vocab(answer))
@@ -125,8 +125,8 @@ class Ports:
             port.counters.crossed(len(message.payload))
             try:
                 take(Received(message, self._profile))
-            except WireError as err:
-                port.counters.dropped("bad")
+            except (WireError, TimeoutError) as err:
+                port.counters.dropped("bad" if isinstance(err, WireError) else "queue")
                 if port.counters.failed(str(err)):
                     _log.warning("%s: message refused: %s", name, err)
 

@@ -8,9 +8,14 @@ from pathlib import Path
 import pytest
 
 from bridge.config.model import Config
+from bridge.modules.loop import Loop
 from bridge.modules.ports import Ports
 from tests.support.ports import free_port
 from tests.support.wait import until
+from yarp_compat.naming.config import Address
+from yarp_compat.naming.server import NameServer
+from yarp_compat.pythonic import Client
+from yarp_compat.wire.values import Vocab
 
 
 @pytest.fixture
@@ -50,3 +55,16 @@ def test_ports_that_are_closed_as_their_thread_wakes_up_end_it(config: Config, m
     ports.close()
     assert ports._thread is not None
     assert not ports._thread.is_alive()
+
+
+def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> None:
+    loop, ports = Loop("the thread"), Ports(config)
+    loop.start()
+    with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
+        port = ports.respond("/rpc", lambda values: loop.call(lambda: ["heard", *values]))
+        until(lambda: not port.trouble, "the port is open")
+        with Client("/rpc", naming=ports.naming) as client:
+            assert client.ask(["one"], timeout=40) == ["heard", "one"]
+            loop.close()
+            assert client.ask(["two"], timeout=40) == [Vocab("fail"), "the thread has ended"]
+        ports.close()

@@ -83,6 +83,32 @@ def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
         assert place.names.query("/echo/rpc") is None
 
 
+def test_what_comes_to_a_module_that_has_stopped_is_left_undone(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    place.worker.start(place.config(echo()))
+    running = place.worker._running["echo"]
+    host, module = running._host, running._module
+    assert host is not None
+    assert module is not None
+    done: list[str] = []
+    close = host.yarp.close
+
+    def slowly() -> None:
+        host.loop.post(lambda: done.append("posted"))
+        with pytest.raises(TimeoutError, match="has ended"):
+            host.loop.call(lambda: done.append("called"))
+        close()
+
+    def stop() -> None:
+        host.loop.after(0.0, lambda: done.append("timer"))
+        host.loop.post(lambda: done.append("posted before"))
+        done.append("stopped")
+
+    monkeypatch.setattr(host.yarp, "close", slowly)
+    monkeypatch.setattr(module, "stop", stop)
+    running.stop()
+    assert done == ["stopped"]
+
+
 def test_reload_touches_what_changed_alone(place: Place) -> None:
     heard = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
