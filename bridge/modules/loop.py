@@ -35,6 +35,7 @@ class Loop:
         self._calls: set[_Call] = set()
         self._timers: list[tuple[float, int, Timer]] = []
         self._numbers = itertools.count()
+        self._timer_ran = False
         self._closed = False
         self._busy_since: float | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -136,17 +137,25 @@ class Loop:
         with self._condition:
             while not self._closed:
                 now = time.monotonic()
-                if self._timers and self._timers[0][0] <= now:
-                    due, _, timer = heapq.heappop(self._timers)
-                    if timer.again and not timer.closed:
-                        missed = (now - due) // timer.seconds
-                        again = due + (missed + 1) * timer.seconds
-                        heapq.heappush(self._timers, (again, next(self._numbers), timer))
-                    return timer.run
+                due = bool(self._timers) and self._timers[0][0] <= now
+                # by turns: neither timers that take longer than their period nor what is posted on and on may keep a
+                # stop waiting
+                if due and not (self._ready and self._timer_ran):
+                    self._timer_ran = True
+                    return self._due(now).run
                 if self._ready:
+                    self._timer_ran = False
                     return self._ready.popleft()
                 self._condition.wait(self._timers[0][0] - now if self._timers else None)
         return None
+
+    def _due(self, now: float) -> Timer:
+        due, _, timer = heapq.heappop(self._timers)
+        if timer.again and not timer.closed:
+            missed = (now - due) // timer.seconds
+            again = due + (missed + 1) * timer.seconds
+            heapq.heappush(self._timers, (again, next(self._numbers), timer))
+        return timer
 
 
 class _Call:

@@ -74,6 +74,19 @@ def test_a_timer_that_is_closed_runs_no_more(loop: Loop) -> None:
     assert not ran
 
 
+def test_timers_and_what_is_posted_take_turns(loop: Loop) -> None:
+    loop.every(1e-9, lambda: None)  # due again as soon as it has run
+    assert loop.call(lambda: "its turn") == "its turn"
+
+    def on_and_on() -> None:
+        loop.post(on_and_on)
+
+    loop.post(on_and_on)
+    ran = threading.Event()
+    loop.after(0.0, ran.set)
+    assert ran.wait(40)
+
+
 def test_a_step_that_stands_still_is_told(loop: Loop) -> None:
     gate, begun = threading.Event(), threading.Event()
     loop.post(lambda: (begun.set(), gate.wait(40)))
