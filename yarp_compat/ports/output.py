@@ -303,19 +303,18 @@ class Output:
     # -- the end ------------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """Look whether the peer is still there, and has acknowledged: nothing is read from an idle connection."""
+        """Look whether the peer is still there, and has acknowledged: nothing is read from an idle connection.
+
+        That waits for nobody, so the lock is held meanwhile: who writes at this moment is not to find it busy.
+        """
         with self._lock:
             if self._driven or self.closed:
                 return
+            with contextlib.suppress(OSError):  # it is not in order
+                if self._speaker.look():
+                    return
             self._driven = True
-        try:
-            there = self._speaker.look()
-        except OSError:
-            there = False
-        if not there:
-            self._fail()
-            return
-        self._settle(Item([], ours=False))
+        self._fail()
 
     def close(self) -> None:
         """Say goodbye where the connection is free, and close it."""

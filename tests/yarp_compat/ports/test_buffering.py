@@ -13,6 +13,7 @@ import pytest
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connecting, port
+from yarp_compat.ports.connections import AnyOutput
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire import message
 from yarp_compat.wire.binary import decode, encode
@@ -110,6 +111,34 @@ def test_who_has_acknowledged_is_not_busy(make_port: MakePort, slow: Slow, monke
         assert slow.read() == b"%d" % i
         slow.acknowledge()
         until(lambda: not output.busy, "the acknowledgement is noticed")
+
+
+def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that is written while somebody looks whether the reader is still there reaches it."""
+    monkeypatch.setattr(port, "_LOOK", 1000.0)
+    got: list[bytes] = []
+    make_port("/r", lambda m: got.append(bytes(m.payload)))
+    writer = make_port("/w")
+    writer.add_output("fast_tcp://r")
+    (output,) = writer.connections.outputs
+    look, asked = output._speaker.look, threading.Event()
+
+    def idle(output: AnyOutput) -> bool:
+        found = not output.busy
+        asked.set()
+        return found
+
+    command = threading.Thread(target=lambda: writer.write(b"go", chosen=idle))
+
+    def looking() -> bool:
+        command.start()
+        assert asked.wait(20)
+        return look()
+
+    monkeypatch.setattr(output._speaker, "look", looking)
+    output.check()
+    command.join(20)
+    until(lambda: got == [b"go"], "the command")
 
 
 def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
