@@ -176,7 +176,9 @@ class Reader(OpenPort):
     def close(self) -> None:
         """Close the port; whoever iterates comes to the end."""
         self._inbox.close()
-        self._given(None)
+        due, self._due = self._due, None
+        if due is not None:
+            due.retire()
         super().close()
 
     def _given(self, message: Message | None) -> Received | None:

@@ -152,14 +152,13 @@ class Port(Contactable):
     def _take(self, message: Message) -> None:
         """Take a message, on its connection's thread."""
         core = self._core
-        if core is None:
-            return
-        if self._reader is None:
-            self._handoff.give(message)
-            return
-        self._envelope = message.envelope or self._envelope
-        with self._callback_lock:
-            answer(self._reader, message, Contact.of(core.contact))
+        if core is not None and self._reader is not None:
+            self._envelope = message.envelope or self._envelope
+            with self._callback_lock:
+                answer(self._reader, message, Contact.of(core.contact))
+        elif core is None or not self._handoff.give(message):
+            message.later()
+            message.retire()  # who asked hears of the port's end: an empty reply would be one
 
     def _began(self) -> None:
         self._handoff = Handoff()
@@ -167,7 +166,7 @@ class Port(Contactable):
     def _ending(self) -> None:
         self._handoff.close()
         if self._due is not None:
-            self._due.give_up()
+            self._due.retire()
             self._due = None
 
     def _ended(self, core: PortCore) -> None:

@@ -357,7 +357,14 @@ class PortCore:
             connecting.take_output(self, sock, route, connection.carrier, connection.profile)
 
     def deliver(self, incoming: Message) -> None:
-        """Give a message to the port's owner."""
+        """Give a message to the port's owner.
+
+        Raises:
+            ConnectionAbortedError: the port closes: nobody gets an empty reply, or an acknowledgement, for that.
+        """
+        if self._loop is None:
+            msg = f"port {self.name} is closed"
+            raise ConnectionAbortedError(msg)
         counters = self.counters
         counters.received += 1
         if self.on_message is None:

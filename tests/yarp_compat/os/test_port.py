@@ -87,6 +87,23 @@ def test_every_kind_of_data_crosses(pool: ThreadPoolExecutor) -> None:
         assert done.result(5)
 
 
+@pytest.mark.parametrize("is_read", [False, True])
+def test_a_server_that_closes_gives_no_empty_answer(pool: ThreadPoolExecutor, is_read: bool) -> None:
+    """Neither to what it never read, nor to what it has not answered yet."""
+    server, client = opened(yarp.RpcServer, "/s"), opened(yarp.RpcClient, "/c")
+    assert client.addOutput("/s")
+    got = yarp.Bottle("as it was")
+    asked = pool.submit(client.write, yarp.Bottle("question"), got)
+    if is_read:
+        assert server.read(yarp.Bottle())
+    else:
+        core = server._core
+        until(lambda: core.counters.received, "the question")
+    server.close()
+    assert asked.result(20) is False
+    assert got.toString() == "as it was"
+
+
 def test_a_message_of_another_kind_is_not_read(pool: ThreadPoolExecutor) -> None:
     reader, writer = connected()
     done = pool.submit(writer.write, yarp.Bottle("not a vector"))

@@ -90,6 +90,28 @@ def test_a_reply_that_never_comes_ends_with_the_port(make_port: MakePort, owner:
     assert failed
 
 
+@pytest.mark.parametrize("owner", [lambda message: message.reply(HELLO), None])
+def test_a_request_that_comes_as_the_port_closes_gets_no_reply(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch, owner: Callable[[Message], None] | None
+) -> None:
+    """Not an empty one either: who asked hears that the port is gone."""
+    server, client = make_port("/server", owner), make_port("/client")
+    client.add_output("/server")
+    until(server.inputs, "the connection")
+    close, failed = server.connections.close, list[Exception]()
+
+    def closing() -> None:
+        try:
+            client.request(HELLO, timeout=20)
+        except ConnectionError as error:
+            failed.append(error)
+        close()
+
+    monkeypatch.setattr(server.connections, "close", closing)
+    server.close()
+    assert failed
+
+
 def test_no_reply_in_time_ends_the_connection(make_port: MakePort) -> None:
     """The reply may still come, and must not be taken for the next one's."""
     make_port("/server", Message.later)
