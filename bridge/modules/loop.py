@@ -14,7 +14,7 @@ from typing import Any
 from bridge.clock import RunClock
 
 _log = logging.getLogger(__name__)
-_ANSWER_SECONDS = 5.0
+ANSWER_SECONDS = 5.0
 
 Action = Callable[[], Any]
 
@@ -51,8 +51,14 @@ class Loop:
                 self._ready.append(action)
                 self._condition.notify()
 
-    def call(self, action: Callable[[], Any], seconds: float = _ANSWER_SECONDS) -> Any:
+    def call(self, action: Callable[[], Any], seconds: float = ANSWER_SECONDS, *, late: bool = True) -> Any:
         """Run an action on the thread and return its result, or raise what it raised.
+
+        Args:
+            action: what to run.
+            seconds: how long to wait for it.
+            late: run it even once nobody waits for it any more, as a stop must be; else one that has not begun by then
+                never does, and one that has is waited for.
 
         Raises:
             TimeoutError: the thread has not come to it in time, or has ended.
@@ -66,7 +72,7 @@ class Loop:
             self._calls.add(call)
             self._ready.append(lambda: self._answer(call))
             self._condition.notify()
-        if not call.done.wait(seconds):
+        if not call.done.wait(seconds) and (late or self._withdrawn(call) or not call.done.wait(ANSWER_SECONDS)):
             msg = f"{self._name} has not answered for {seconds:g} s"
             raise TimeoutError(msg)
         if call.error is not None:
@@ -111,9 +117,15 @@ class Loop:
         return TimeoutError(f"{self._name} has ended")
 
     def _answer(self, call: _Call) -> None:
+        if self._withdrawn(call):
+            call.run()
+
+    def _withdrawn(self, call: _Call) -> bool:
+        """Take a call out of those that have not begun; whether it was one."""
         with self._condition:
+            waits = call in self._calls
             self._calls.discard(call)
-        call.run()
+        return waits
 
     def _put(self, due: float, timer: Timer) -> None:
         with self._condition:

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 from bridge.modules.host import Host
+from navigation.calls import Calls
 from navigation.gateway.drive import Target
 from navigation.gateway.gateway import Gateway, RefusedError
 from navigation.gateway.places import Places
@@ -18,11 +19,11 @@ from navigation.pose import Pose
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
 from yarp_compat.dev.locations import Map2DLocation, Map2DPath
 from yarp_compat.dev.mapgrid import MapGrid2D
-from yarp_compat.dev.returnvalue import CallFailed, ReturnCode
 
 WHO = "a YARP client"
 _LETTING_GO_SECONDS = 1.0
-T = TypeVar("T")
+_FRESH_SECONDS = 0.3
+"""A velocity that waited longer for the module's thread is not obeyed: its client has another one by then, or stops."""
 
 
 class Device:
@@ -36,12 +37,14 @@ class Device:
     """
 
     def __init__(self, host: Host, gateway: Gateway, places: Places, commander: Commander) -> None:
-        self._host, self._gateway, self._places, self._commander = host, gateway, places, commander
+        self._gateway, self._places, self._commander = gateway, places, commander
+        calls = Calls(host.loop, RefusedError, LookupError)
+        self._do, self._move = calls.do, calls.move
 
     # -- targets -------------------------------------------------------------------------------------------------------
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        self._do(lambda: self._begin([self._places.known(loc)]))
+        self._move(lambda: self._begin([self._places.known(loc)]))
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def relative() -> None:
@@ -50,10 +53,10 @@ class Device:
                 place = place._replace(theta=math.nan)
             self._begin([Target(place, self._gateway.frame)])
 
-        self._do(relative)
+        self._move(relative)
 
     def followPath(self, path: Map2DPath) -> None:
-        self._do(lambda: self._begin([self._places.known(place) for place in path.waypoints]))
+        self._move(lambda: self._begin([self._places.known(place) for place in path.waypoints]))
 
     def getAbsoluteLocationOfCurrentTarget(self) -> Map2DLocation | None:
         return self._do(self._where_to)
@@ -84,7 +87,7 @@ class Device:
         self._do(lambda: self._gateway.pause(time_s))
 
     def resumeNavigation(self) -> None:
-        self._do(self._gateway.resume)
+        self._move(self._gateway.resume)
 
     def recomputeCurrentNavigationPath(self) -> None:
         self._do(self._gateway.recompute)
@@ -109,22 +112,12 @@ class Device:
                 raise RefusedError("the planner drives; stop or suspend it first")
             self._commander.command(Velocity(x_vel, y_vel, theta_vel), timeout)
 
-        self._do(command)
+        self._move(command, _FRESH_SECONDS)
 
     def getLastVelocityCommand(self) -> tuple[float, float, float] | None:
         return self._do(lambda: self._commander.last)
 
     # -- parts ---------------------------------------------------------------------------------------------------------
-
-    def _do(self, action: Callable[[], T]) -> T:
-        """Do something on the module's thread."""
-        try:
-            found: T = self._host.loop.call(action)
-        except (RefusedError, LookupError) as err:
-            raise CallFailed(ReturnCode.METHOD_FAILED, str(err)) from None
-        except TimeoutError as err:
-            raise CallFailed(ReturnCode.NOT_READY, str(err)) from None
-        return found
 
     def _begin(self, targets: Sequence[Target]) -> None:
         self._gateway.go(targets, WHO)

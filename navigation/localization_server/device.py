@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
+from navigation.calls import Calls
 from navigation.localization_server.estimate import Estimate, Floats
 from navigation.pose import Pose
 from yarp_compat.dev.locations import Map2DLocation
@@ -48,11 +48,11 @@ class Device:
 
     Args:
         asked: the module.
-        call: runs something on its thread.
+        calls: does things on its thread.
     """
 
-    def __init__(self, asked: Asked, call: Callable[[Callable[[], Any]], Any]) -> None:
-        self._asked, self._call = asked, call
+    def __init__(self, asked: Asked, calls: Calls) -> None:
+        self._asked, self._call = asked, calls.do
 
     def startLocalizationService(self) -> None:
         self._call(lambda: self._asked.rest(on=False))
@@ -61,8 +61,7 @@ class Device:
         self._call(lambda: self._asked.rest(on=True))
 
     def getLocalizationStatus(self) -> str:
-        status: str = self._call(lambda: self._asked.estimate().status.value)
-        return status
+        return self._call(lambda: self._asked.estimate().status.value)
 
     def getEstimatedPoses(self) -> list[Map2DLocation]:
         cloud, name = self._call(lambda: (self._asked.cloud(), self._asked.map_name))
@@ -76,7 +75,7 @@ class Device:
         return location(found.pose, name), found.covariance
 
     def getEstimatedOdometry(self) -> OdometryData:
-        found: OdometryData | None = self._call(self._asked.odometry)
+        found = self._call(self._asked.odometry)
         if found is None:
             raise CallFailed(ReturnCode.METHOD_FAILED, "it is not known where the robot is")
         return found

@@ -17,6 +17,7 @@ from bridge.modules.module import Module
 from bridge.stores.errors import StoreError
 from bridge.stores.kinds import CURRENT, MAP
 from bridge.worker import Health
+from navigation.calls import Calls
 from navigation.frames import Frames, FramesError
 from navigation.localization_server.by_frames import Amcl, ByFrames
 from navigation.localization_server.device import Device
@@ -67,7 +68,7 @@ class LocalizationServer(Module):
         self._leave_maps = self._take_maps()
         if self._source.hears_starts:
             host.node.subscription(section.initialpose, POSE_COVARIANCE, self._start_told, Qos(depth=1))
-        server = Localization2DServer(Device(self, host.loop.call))
+        server = Localization2DServer(Device(self, Calls(host.loop)))
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
         host.on_jump(self._forget)

@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
 
+from navigation.calls import Calls
 from navigation.pose import Pose
 from navigation.robot_goto.driver import Driver
 from yarp_compat.dev.inavigation2d import NavigationMapTypeEnum, TrajectoryTypeEnum
@@ -50,19 +50,16 @@ class Asked(Protocol):
         """Take the parameters of the start again."""
 
 
-Call = Callable[[Callable[[], Any]], Any]
-
-
 class Device:
     """What `Navigation2DServer` answers with. Methods run on the threads of connections, what they do on the module's.
 
     Args:
         asked: the module.
-        call: runs something on its thread.
+        calls: does things on its thread.
     """
 
-    def __init__(self, asked: Asked, call: Call) -> None:
-        self._asked, self._call = asked, call
+    def __init__(self, asked: Asked, calls: Calls) -> None:
+        self._asked, self._call, self._move = asked, calls.do, calls.move
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
         def drive() -> None:
@@ -71,26 +68,26 @@ class Device:
                 raise CallFailed(ReturnCode.METHOD_FAILED, f"the robot is on the map {here}, not on {loc.map_id}")
             self._asked.drive(Pose(loc.x, loc.y, math.radians(loc.theta)))
 
-        self._call(drive)
+        self._move(drive)
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def drive() -> None:
             goal = self._pose() @ Pose(x, y, 0.0 if math.isnan(theta) else math.radians(theta))
             self._asked.drive(goal._replace(theta=math.nan) if math.isnan(theta) else goal)
 
-        self._call(drive)
+        self._move(drive)
 
     def stopNavigation(self) -> None:
         self._call(lambda: self._asked.stop_driving("stopped"))
 
     def suspendNavigation(self, seconds: float) -> ReturnValue:
-        return self._done(lambda: self._asked.driver.pause(seconds))
+        return _OK if self._call(lambda: self._asked.driver.pause(seconds)) else _FAILED
 
     def resumeNavigation(self) -> ReturnValue:
-        return self._done(self._asked.driver.resume)
+        return _OK if self._move(self._asked.driver.resume) else _FAILED
 
     def recomputeCurrentNavigationPath(self) -> ReturnValue:
-        return self._done(lambda: self._asked.driver.target is not None)
+        return _OK if self._call(lambda: self._asked.driver.target is not None) else _FAILED
 
     def getNavigationStatus(self) -> str:
         return self._asked.driver.status.state.value
@@ -100,8 +97,7 @@ class Device:
             target = self._asked.driver.target
             return None if target is None else _location(self._asked.map_name(), target.pose)
 
-        location: Map2DLocation | None = self._call(found)
-        return location
+        return self._call(found)
 
     def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
         def found() -> tuple[float, float, float] | None:
@@ -111,8 +107,7 @@ class Device:
             seen = self._pose().inverse @ target.pose
             return seen.x, seen.y, math.degrees(seen.theta)
 
-        relative: tuple[float, float, float] | None = self._call(found)
-        return relative
+        return self._call(found)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
         return self.getAbsoluteLocationOfCurrentTarget()
@@ -126,11 +121,7 @@ class Device:
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is not NavigationMapTypeEnum.local_map:
             return None
-        grid: MapGrid2D | None = self._call(self._asked.local_map)
-        return grid
-
-    def _done(self, action: Callable[[], bool]) -> ReturnValue:
-        return _OK if self._call(action) else _FAILED
+        return self._call(self._asked.local_map)
 
     def _pose(self) -> Pose:
         try:
@@ -144,12 +135,12 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
 
     Args:
         asked: the module.
-        call: runs something on its thread.
+        calls: does things on its thread.
     """
 
-    def __init__(self, asked: Asked, call: Call) -> None:
-        super().__init__(Device(asked, call))
-        self._asked, self._call = asked, call
+    def __init__(self, asked: Asked, calls: Calls) -> None:
+        super().__init__(Device(asked, calls))
+        self._asked, self._call, self._move = asked, calls.do, calls.move
 
     def ResetParams(self) -> ReturnValue:
         self._call(self._asked.reset)
@@ -158,7 +149,7 @@ class GotoServer(Navigation2DServer, RobotGotoMsgs):
     def Approach(self, dir: float, speed: float, time: float) -> ReturnValue:  # noqa: A002 - its name
         if not all(map(math.isfinite, (dir, speed, time))) or time < 0.0:
             raise CallFailed(ReturnCode.METHOD_FAILED, f"approach {dir:g} {speed:g} {time:g}: these are no numbers")
-        self._call(lambda: self._asked.approach(math.radians(dir), speed, time))
+        self._move(lambda: self._asked.approach(math.radians(dir), speed, time))
         return _OK
 
     def SetLinearTolerance(self, tol: float) -> ReturnValue:

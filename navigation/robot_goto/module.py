@@ -17,6 +17,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
+from navigation.calls import Calls
 from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.connected import Connected
 from navigation.constraints import Constraints
@@ -77,7 +78,7 @@ class RobotGoto(Module):
     def _offer(self, host: Host, section: RobotGotoSection) -> None:
         if not section.prefix:
             return
-        host.yarp.serve(f"{section.prefix}/rpc", GotoServer(self, host.loop.call))
+        host.yarp.serve(f"{section.prefix}/rpc", GotoServer(self, Calls(host.loop)))
         mine = f"{section.prefix}/laser:i"
         host.yarp.input(mine, self._yarp_scanned)
         if section.laser_port:

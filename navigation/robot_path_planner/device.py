@@ -5,9 +5,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
+from navigation.calls import Calls
 from navigation.goals import Place
 from navigation.pose import Pose
 from navigation.robot_path_planner.planner import PathPlanner
@@ -49,24 +49,24 @@ class Device:
 
     Args:
         asked: the module.
-        call: runs something on its thread.
+        calls: does things on its thread.
     """
 
-    def __init__(self, asked: Asked, call: Callable[[Callable[[], Any]], Any]) -> None:
-        self._asked, self._call = asked, call
+    def __init__(self, asked: Asked, calls: Calls) -> None:
+        self._asked, self._call, self._move = asked, calls.do, calls.move
 
     def gotoTargetByAbsoluteLocation(self, loc: Map2DLocation) -> None:
-        self._call(lambda: self._asked.drive(_place(loc)))
+        self._move(lambda: self._asked.drive(_place(loc)))
 
     def followPath(self, path: Map2DPath) -> None:
-        self._call(lambda: self._asked.drive(*map(_place, path)))
+        self._move(lambda: self._asked.drive(*map(_place, path)))
 
     def gotoTargetByRelativeLocation(self, x: float, y: float, theta: float) -> None:
         def drive() -> None:
             goal = self._pose() @ Pose(x, y, 0.0 if math.isnan(theta) else math.radians(theta))
             self._asked.drive(Place("", goal._replace(theta=math.nan) if math.isnan(theta) else goal))
 
-        self._call(drive)
+        self._move(drive)
 
     def stopNavigation(self) -> None:
         self._asked.brake()
@@ -87,7 +87,7 @@ class Device:
                 raise CallFailed(ReturnCode.METHOD_FAILED, "nothing is suspended")
             self._asked.planner.resume()
 
-        self._call(resume)
+        self._move(resume)
 
     def recomputeCurrentNavigationPath(self) -> None:
         def recompute() -> None:
@@ -105,8 +105,7 @@ class Device:
             target = self._asked.planner.target
             return None if target is None else _location(target.map_name, target.pose)
 
-        location: Map2DLocation | None = self._call(found)
-        return location
+        return self._call(found)
 
     def getRelativeLocationOfCurrentTarget(self) -> tuple[float, float, float] | None:
         def found() -> tuple[float, float, float] | None:
@@ -116,16 +115,14 @@ class Device:
             seen = self._pose().inverse @ target.pose
             return seen.x, seen.y, math.degrees(seen.theta) if math.isfinite(seen.theta) else math.nan
 
-        relative: tuple[float, float, float] | None = self._call(found)
-        return relative
+        return self._call(found)
 
     def getCurrentNavigationWaypoint(self) -> Map2DLocation | None:
         def found() -> Map2DLocation | None:
             ground, point = self._asked.planner.ground, self._asked.planner.waypoint
             return None if point is None or ground is None else _location(ground.name, point.pose)
 
-        location: Map2DLocation | None = self._call(found)
-        return location
+        return self._call(found)
 
     def getAllNavigationWaypoints(self, kind: TrajectoryTypeEnum) -> Map2DPath | None:  # noqa: ARG002
         """YARP's answers either kind with its way."""
@@ -134,13 +131,11 @@ class Device:
             ground, points = self._asked.planner.ground, self._asked.planner.waypoints
             return None if ground is None else Map2DPath([_location(ground.name, each.pose) for each in points])
 
-        path: Map2DPath | None = self._call(found)
-        return path
+        return self._call(found)
 
     def getCurrentNavigationMap(self, kind: NavigationMapTypeEnum) -> MapGrid2D | None:
         if kind is NavigationMapTypeEnum.local_map:
-            grid: MapGrid2D | None = self._call(self._asked.local_map)
-            return grid
+            return self._call(self._asked.local_map)
         ground = self._asked.planner.ground
         return None if ground is None else ground.grid
 

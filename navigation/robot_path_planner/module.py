@@ -19,6 +19,7 @@ from bridge.modules.host import Host
 from bridge.modules.module import Module
 from bridge.stores.kinds import AREA, BEHAVIOUR, CURRENT, MAP
 from bridge.worker import Health
+from navigation.calls import Calls
 from navigation.clients import CUT_OFF, GONE, Clients, FarClients
 from navigation.constraints import Constraints
 from navigation.current_goal import CurrentGoal, duration, result
@@ -115,9 +116,10 @@ class RobotPathPlanner(Module):
         host.answer("picture", lambda _params: host.loop.call(self.picture))
         host.answer("halt", self._halt_asked)
         if prefix:
-            device = Device(self, host.loop.call)
+            calls = Calls(host.loop)
+            device = Device(self, calls)
             radius = lambda: self.planner.settings.robot_radius  # noqa: E731
-            words = PlannerServer(device, radius, lambda value: host.loop.call(lambda: self.set_radius(value)))
+            words = PlannerServer(device, radius, lambda value: calls.do(lambda: self.set_radius(value)))
             host.yarp.serve(f"{prefix}/rpc", words)
             host.yarp.input(f"{prefix}/yarpviewTarget:i", self._clicked)
 
