@@ -190,6 +190,8 @@ class OwnPorts:
             own = self._made(port, self._free_name(port.name), output)
             self._own[port.name] = own
             self._taken |= {own.core.name}
+            if output is not None and port.writes:  # before it opens: who connects at once gets what is kept
+                output.add(Outlet(own.core, port.content))
             own.core.open()
             # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
             self._naming.set_property(own.core.name, OWNER, self._owner)
@@ -200,8 +202,6 @@ class OwnPorts:
                 self._close([failed])
             return
         self._trouble.pop(port.name, None)
-        if output is not None and port.writes:
-            output.add(Outlet(own.core, port.content))
 
     def _free_name(self, name: str) -> str:
         """The name that a port gets: what a dead or stopped worker of ours has is taken over, nobody else's is."""
