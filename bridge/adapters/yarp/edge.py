@@ -29,6 +29,7 @@ from bridge.adapters.base import (
 from bridge.adapters.keep import keep
 from bridge.adapters.yarp.contents import Contents
 from bridge.adapters.yarp.graph import Graph
+from bridge.adapters.yarp.inlet import Inlet
 from bridge.adapters.yarp.names import PRESENCE, PortNames
 from bridge.adapters.yarp.network import YarpNetwork
 from bridge.adapters.yarp.outlet import TopicOutput, TopicPublisher
@@ -179,9 +180,15 @@ class YarpEdge(Edge):
         self._ports.follow(plan | self._services.plan(self._names), outputs, self._services.served())
         self._ports.look_for_callers()
         for inlet in self._ports.inlets():
-            subscription = heard.get((inlet.topic, inlet.type))
-            inlet.hear(None if subscription is None else subscription.deliver)
+            self._let_hear(inlet)
         self._ports.connect()
+
+    def _let_hear(self, inlet: Inlet) -> None:
+        """Give an input port to whoever hears its topic now: several threads may find that out at once."""
+        with self._lock:
+            subscription = self._heard.get((inlet.topic, inlet.type))
+            inlet.hear(None if subscription is None else subscription.deliver)
+        inlet.release()
 
     def _wanted(self, topic: str, side_type: SideType) -> Wanted:
         known = self._registry.ros2(side_type.name).type_id
@@ -376,7 +383,7 @@ class YarpEdge(Edge):
             self._heard[topic, side_type.name] = subscription
         for inlet in self._ports.inlets():
             if (inlet.topic, inlet.type) == (topic, side_type.name):
-                inlet.hear(deliver)
+                self._let_hear(inlet)
         self._wake.set()
         return subscription
 
@@ -389,7 +396,7 @@ class YarpEdge(Edge):
             del self._heard[key]
         for inlet in self._ports.inlets():
             if (inlet.topic, inlet.type) == key:
-                inlet.hear(None)
+                self._let_hear(inlet)
         self._wake.set()
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:

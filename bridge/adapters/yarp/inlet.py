@@ -22,6 +22,15 @@ HOLD_SECONDS = 2.0
 MAX_HELD = 64
 
 
+@dataclass(slots=True)
+class _Held:
+    """A message that waits, since when, and whether it is being passed on at this moment."""
+
+    since: float
+    message: Message
+    going: bool = False
+
+
 @dataclass(eq=False)
 class Inlet:
     """What an input port does with messages.
@@ -45,8 +54,8 @@ class Inlet:
     made_by: Callable[[str], MadeBy]
     refused: Callable[[str, str, str], None]
     _deliver: Deliver | None = None
-    _held: dict[str, tuple[float, Message]] = field(default_factory=dict)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _held: dict[str, _Held] = field(default_factory=dict)
+    _changed: threading.Condition = field(default_factory=threading.Condition)
 
     def on_message(self, message: Message) -> None:
         """Take a message; on the thread of its connection."""
@@ -57,41 +66,58 @@ class Inlet:
         if made_by is MadeBy.MIDSPAN:
             return
         deliver = self._deliver
-        if deliver is None or made_by is MadeBy.UNKNOWN:
-            with self._lock:
-                if peer in self._held or len(self._held) < MAX_HELD:
-                    self._held[peer] = time.monotonic(), message
+        if deliver is None or made_by is MadeBy.UNKNOWN or peer in self._held:
+            self.release()  # an earlier one goes first
+            self._hold(peer, message)
+            self.release()  # a route may have come meanwhile
             return
         self._pass_on(message, deliver)
 
+    def _hold(self, peer: str, message: Message) -> None:
+        """Have a message wait, in the place of an earlier one of its peer, or behind one that is being passed on."""
+        with self._changed:
+            self._changed.wait_for(lambda: not ((held := self._held.get(peer)) and held.going))
+            if peer in self._held or len(self._held) < MAX_HELD:
+                self._held[peer] = _Held(time.monotonic(), message)
+
     def hear(self, deliver: Deliver | None) -> None:
-        """Give messages to a route from now on, those that wait among them."""
+        """Give messages to a route from now on; those that wait are its own with the next `release`."""
         self._deliver = deliver
-        self.release()
 
     def waiting(self) -> set[str]:
         """The peers, gone by now or not, of which a message is held."""
         now = time.monotonic()
-        with self._lock:
-            for peer in [peer for peer, (since, _) in self._held.items() if now - since > HOLD_SECONDS]:
-                del self._held[peer]
+        with self._changed:
+            for peer, held in list(self._held.items()):
+                if now - held.since > HOLD_SECONDS and not held.going:
+                    del self._held[peer]
             return set(self._held)
 
     def release(self) -> None:
         """Look again at what is held: it may be known by now who sent it."""
-        deliver = self._deliver
-        if deliver is None or not self._held:
-            return
-        now, ready = time.monotonic(), []
-        with self._lock:
-            for peer, (since, message) in list(self._held.items()):
-                made_by = self.made_by(peer)
-                if made_by is not MadeBy.UNKNOWN or now - since > HOLD_SECONDS:
+        while self._held and (found := self._next()) is not None:
+            peer, message, deliver = found
+            try:
+                self._pass_on(message, deliver)
+            finally:
+                with self._changed:
                     del self._held[peer]
-                if made_by is MadeBy.NATIVE and now - since <= HOLD_SECONDS:
-                    ready.append(message)
-        for message in ready:
-            self._pass_on(message, deliver)
+                    self._changed.notify_all()
+
+    def _next(self) -> tuple[str, Message, Deliver] | None:
+        """A held message that can be passed on; until that is done, the next of its peer waits."""
+        now, deliver = time.monotonic(), self._deliver
+        if deliver is None:
+            return None
+        with self._changed:
+            for peer, held in [(peer, held) for peer, held in self._held.items() if not held.going]:
+                made_by = self.made_by(peer)
+                if made_by is MadeBy.NATIVE and now - held.since <= HOLD_SECONDS:
+                    held.going = True
+                    return peer, held.message, deliver
+                if made_by is not MadeBy.UNKNOWN or now - held.since > HOLD_SECONDS:
+                    del self._held[peer]
+        return None
 
     def _pass_on(self, message: Message, deliver: Deliver) -> None:
         peer = message.peer

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,15 +10,19 @@ from typing import Any
 
 import pytest
 
+from bridge.adapters.base import MadeBy
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.names import OWNER
 from bridge.config.model import Config
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.registry import Registry
 from tests.adapters.yarp.conftest import YarpPort
+from tests.support.wait import until
 from tests.support.yarp_programs import Names
 from yarp_compat.naming import connections
 from yarp_compat.naming.client import NameClient
+from yarp_compat.wire.binary import encode
+from yarp_compat.wire.profile import Profile
 
 REGISTRY = Registry()
 STRING = REGISTRY.ros2("std_msgs/msg/String")
@@ -65,3 +70,33 @@ def test_who_connects_as_a_port_opens_gets_what_is_kept(
     edge.start(LISTENER)
     assert reader.bottles(1, 20) == [["kitchen"]]
     reader.stop()
+
+
+def test_who_subscribes_during_a_turn_hears_everything_from_then_on(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The turn knows of the subscriptions that there were at its beginning."""
+    edge.advertise("/talk", STRING, Qos())
+    edge.start(LISTENER)
+    writer, got = YarpPort(names, "/writer"), list[bytes]()
+    writer.write_to("/midspan/talk:i")
+    until(lambda: edge._ports.made_by("/writer") is MadeBy.NATIVE, "it is known who writes")
+    look, connect, turn = edge._ports.look_for_callers, edge._ports.connect, threading.Event()
+
+    def looking() -> None:
+        if not turn.is_set():
+            turn.set()
+            edge.subscribe("/talk", STRING, Qos(), lambda cdr, *_: got.append(cdr))
+        look()
+
+    def connecting() -> None:
+        if turn.is_set() and not got:
+            for word in ("one", "two"):
+                writer.core.write(encode([word], Profile.YARP3), wait=True, timeout=20)
+        connect()
+
+    monkeypatch.setattr(edge._ports, "connect", connecting)
+    monkeypatch.setattr(edge._ports, "look_for_callers", looking)
+    until(lambda: cdr("two") in got, "what is written after that")
+    assert got == [cdr("one"), cdr("two")]
+    writer.stop()
