@@ -181,8 +181,8 @@ class DatagramOutput:
 
     def _fail(self, error: OSError) -> None:
         if isinstance(error, ConnectionError):
-            self.close()
             self._lost(self)
+            self.close()
         else:
             self.counters.dropped["full"] += 1
             _log.debug("udp to %s: %s", self.route.target, error)

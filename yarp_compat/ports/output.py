@@ -351,11 +351,12 @@ class Output:
         """The peer is gone."""
         with self._lock:
             told = self.closed
-            self.closed = True
             if self._current is not None and not self._current.done:
                 self.counters.dropped["lost"] += 1
         try:
             if not told:
-                self._lost(self)  # before who waits goes on: nobody is to find this connection then
+                self._lost(self)  # before anybody finds it closed: nobody is to find this connection in the list then
         finally:
+            with self._lock:
+                self.closed = True
             self._dispose()

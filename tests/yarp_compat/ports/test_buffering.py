@@ -14,6 +14,7 @@ from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connecting, port
 from yarp_compat.ports.connections import AnyOutput
+from yarp_compat.ports.datagrams import DatagramOutput
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.wire import message
 from yarp_compat.wire.binary import decode, encode
@@ -250,6 +251,30 @@ def test_a_writer_behind_another_message_goes_when_the_peer_is_out_of_the_list(
     threading.Timer(0.2, lambda: slow.sock and slow.sock.close()).start()
     assert writer.write(b"b", wait=True, timeout=20) == 0
     assert listed[0] == 0
+
+
+@pytest.mark.parametrize("carrier", ["tcp", "udp"])
+def test_what_is_closed_is_out_of_the_list(make_port: MakePort, monkeypatch: pytest.MonkeyPatch, carrier: str) -> None:
+    """Who finds that the peer takes nothing finds it connected no more."""
+    make_port("/r")
+    writer = make_port("/w")
+    writer.add_output(f"{carrier}://r")
+    (output,) = writer.connections.outputs
+    lost, closed = output._lost, list[bool]()
+
+    def losing(output: AnyOutput) -> None:
+        closed.append(output.closed)
+        lost(output)
+
+    monkeypatch.setattr(output, "_lost", losing)
+    if isinstance(output, DatagramOutput):
+        output._fail(ConnectionRefusedError())
+    else:
+        output._speaker.shutdown()
+    output.check()
+    until(lambda: output.closed, "it is noticed")
+    assert closed == [False]
+    assert writer.outputs() == []
 
 
 def test_closing_lets_a_waiting_writer_go(make_port: MakePort, slow: Slow) -> None:
