@@ -22,6 +22,8 @@ from bridge.worker import Health, costs
 
 _log = logging.getLogger(__name__)
 _STUCK = 5.0
+_SILENCE = 60.0
+"""Seconds between two lines in the log that tell of the same."""
 
 
 class Running:
@@ -50,6 +52,7 @@ class Running:
         self._backoff = Backoff()
         self._again = 0.0
         self._trouble = ""
+        self._silent = 0.0
         self._started = time.monotonic()
         self._process = psutil.Process()
         self._host: Host | None = None
@@ -99,7 +102,7 @@ class Running:
         if host.loop.stuck_for() > _STUCK:
             msg = f"{self.name} has been in one step for {host.loop.stuck_for():.1f} s"
             raise TimeoutError(msg)
-        health = module.health()
+        health = self._word(module)
         trouble = host.yarp.trouble()
         return Health(health.state, "; ".join(filter(None, (health.text, trouble))))
 
@@ -115,6 +118,17 @@ class Running:
         if host is not None:
             host.close()
 
+    def _word(self, module: Module) -> Health:
+        """What a module says of itself; one that fails at that keeps no other from being asked."""
+        try:
+            return module.health()
+        except Exception as err:
+            now = time.monotonic()
+            if now >= self._silent:
+                self._silent = now + _SILENCE
+                _log.exception("%s cannot say how it is", self.name)
+            return Health("waiting", f"it cannot say how it is: {type(err).__name__}: {err}")
+
     def _failed(self, why: str) -> None:
         self.stop()
         pause = self._backoff.pause(time.monotonic() - self._started)
@@ -125,7 +139,7 @@ class Running:
         module, host = self._module, self._host
         if module is None or host is None:
             return {"daemon": self._config.name, "worker": self.name, "module": True, "state": "stopped", "routes": []}
-        health = module.health()
+        health = self._word(module)
         return {
             "daemon": self._config.name,
             "worker": self.name,

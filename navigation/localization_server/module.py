@@ -71,6 +71,7 @@ class LocalizationServer(Module):
         server = Localization2DServer(Device(self, Calls(host.loop)))
         for port in section.ports:
             host.yarp.serve(f"{port}/rpc", server)
+        self._look()
         host.on_jump(self._forget)
         host.every(section.period, self._tell)
         host.every(section.particles_period, lambda: self._told.tell_particles(self.cloud()))
@@ -229,10 +230,15 @@ class LocalizationServer(Module):
             self._motion.add(self._frames.odometry())
         except FramesError:
             self._motion.forget()
-        found = self.estimate()
+        found = self._look()
         correction = None if self._resting else self._source.correction()
         odometry = None if found.pose is None else self._motion.data(found.pose)
         self._told.tell(found, correction, odometry, self.map_name)
+
+    def _look(self) -> Estimate:
+        """Where the robot is, kept for the threads that tell how we are: to ask the source is to change it."""
+        self._found, self._particles = self.estimate(), len(self.cloud())
+        return self._found
 
     def _forget(self) -> None:
         self._motion.forget()
@@ -244,12 +250,12 @@ class LocalizationServer(Module):
         """Whether it knows where the robot is, and why not."""
         if self._grid is None and self._section.source in (None, "own"):
             return Health("waiting", self._trouble)
-        found = self.estimate()
+        found = self._found
         return Health("running", f"{found.status.value}: {found.reason}" if found.reason else found.status.value)
 
     def status(self) -> dict[str, Any]:
         """The pose, and how sure it is."""
-        found = self.estimate()
+        found = self._found
         return {
             "source": self._section.source or "own",
             "map": self.map_name,
@@ -257,7 +263,7 @@ class LocalizationServer(Module):
             "reason": found.reason,
             "quality": round(found.quality, 3),
             "pose": None if found.pose is None else list(found.pose[:3]),
-            "particles": len(self.cloud()),
+            "particles": self._particles,
             "trouble": self._trouble,
             **self._source.status(),
         }

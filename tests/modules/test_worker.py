@@ -109,6 +109,24 @@ def test_what_comes_to_a_module_that_has_stopped_is_left_undone(place: Place, mo
     assert done == ["stopped"]
 
 
+def test_one_that_cannot_say_how_it_is_ends_no_other(
+    place: Place, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    place.worker.start(place.config(echo(), echo("other")))
+    module = place.worker._running["echo"]._module
+    assert module is not None
+    monkeypatch.setattr(module, "health", lambda: [][0])
+    for _ in range(2):
+        health = place.worker.health()
+    assert health.state == "running"
+    assert "echo: waiting it cannot say how it is: IndexError" in health.text
+    assert "other: heard 0" in health.text
+    status = until(lambda: place.status("echo"), "its status")
+    assert status is not None
+    assert "IndexError" in status["text"]
+    assert caplog.text.count("echo cannot say how it is") == 1
+
+
 def test_reload_touches_what_changed_alone(place: Place) -> None:
     heard = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
