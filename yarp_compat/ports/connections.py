@@ -36,6 +36,8 @@ class Connections:
     def __init__(self, on_event: OnEvent | None) -> None:
         self.on_event = on_event
         self.inputs: list[Input] = []
+        self.leaving: list[Input] = []
+        """Inputs that are out of the list and have not ended yet: what came of them is still taken."""
         self.outputs: list[AnyOutput] = []
         self._lock = threading.Lock()
         self._closed = True
@@ -74,12 +76,19 @@ class Connections:
         return True
 
     def remove_input(self, connection: Input) -> None:
-        """An input is over."""
+        """An input is listed no longer, and ends soon."""
         with self._lock:
             if connection not in self.inputs:
                 return
             self.inputs = [i for i in self.inputs if i is not connection]
+            self.leaving = [*self.leaving, connection]
         self._tell(connection.route, incoming=True, up=False)
+
+    def ended(self, connection: Input) -> None:
+        """An input is over."""
+        self.remove_input(connection)
+        with self._lock:
+            self.leaving = [i for i in self.leaving if i is not connection]
 
     def add_output(self, output: AnyOutput) -> bool:
         """Take an output; False where the port is closed, or has too many."""

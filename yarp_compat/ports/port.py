@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from yarp_compat.naming.naming import Naming
-from yarp_compat.ports import accepting, admin, commands, connecting, loop, process
+from yarp_compat.ports import accepting, admin, closing, commands, connecting, loop, process
 from yarp_compat.ports.address import bound
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
 from yarp_compat.ports.counters import Counters
@@ -83,7 +83,8 @@ class PortCore:
         self.connections = Connections(on_event)
         self._host = host
         self._number = number
-        self._life = threading.Lock()
+        self._life, self._closed = threading.Lock(), threading.Event()
+        self._closed.set()
         self._loop: loop.Loop | None = None
         self._listener: Listener | None = None
         self._interrupted = False
@@ -91,12 +92,13 @@ class PortCore:
     # -- life ---------------------------------------------------------------------------------------------------------
 
     def open(self) -> Contact:
-        """Register the port and listen.
+        """Register the port and listen; where another thread closes it, when that is done.
 
         Raises:
             NamingError: the name server cannot be reached, or refuses.
             OSError: its address cannot be listened on.
         """
+        self._closed.wait()
         with self._life:
             contact = self.naming.register(self.name, self._host or "", self._number)
             try:
@@ -125,33 +127,22 @@ class PortCore:
         with self._life:
             shared, self._loop = self._loop, None
             listener, self._listener = self._listener, None
-        if shared is None or listener is None:
-            return
-        self._interrupted = True
-        process.remove(self)
-        listener.close()
-        self.connections.close()
-        for output in self.connections.outputs:
-            connecting.drop_output(self, output)
-        inputs = self.connections.inputs
-        for connection in inputs:
-            connection.close()
-        for connection in inputs:
-            connection.join(5.0)
+            if shared is None or listener is None:
+                return
+            self._closed.clear()
         try:
-            self.naming.unregister(self.name)
-        except OSError as error:
-            _log.warning("port %s could not be unregistered: %s", self.name, error)
-        loop.release(shared)
-        self._interrupted = False
+            closing.end(self, shared, listener)
+        finally:
+            self._closed.set()
 
     def abandon(self) -> None:
         """In a child process of fork: let go of the sockets, and say nothing to anybody."""
-        self._life = threading.Lock()
+        self._life, self._closed = threading.Lock(), threading.Event()
+        self._closed.set()
         self._loop = None
         if self._listener is not None:
             self._listener.abandon()
-        for connection in (*self.connections.inputs, *self.connections.outputs):
+        for connection in (*self.connections.inputs, *self.connections.leaving, *self.connections.outputs):
             connection.abandon()
         self.connections = Connections(None)
 
@@ -347,7 +338,7 @@ class PortCore:
 
     def ended(self, connection: Input) -> None:
         """An input connection is over."""
-        self.connections.remove_input(connection)
+        self.connections.ended(connection)
 
     def turned(self, connection: Input, sock: socket.socket) -> None:
         """An input connection asked to be an output."""

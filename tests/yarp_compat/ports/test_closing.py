@@ -1,0 +1,94 @@
+"""The end of a port: what comes meanwhile, and what is left afterwards."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from tests.support.wait import until
+from tests.yarp_compat.ports.conftest import MakePort
+from tests.yarp_compat.ports.test_port import HELLO
+from yarp_compat.ports.message import Message
+from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.port import PortCore
+
+
+def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) -> None:
+    """Nothing comes of it when the port is closed, and its thread is gone."""
+    got: list[bytes] = []
+    go_on = threading.Event()
+
+    def take(message: Message) -> None:
+        got.append(bytes(message.payload))
+        assert go_on.wait(20)
+
+    reader, writer = make_port("/r", take), make_port("/w")
+    writer.add_output("fast_tcp://r")
+    writer.write(b"1")
+    until(lambda: got, "the owner has a message")
+    writer.write(b"2", strict=True)
+    (former,) = reader.connections.inputs
+    writer.add_output("fast_tcp://r")
+    until(lambda: reader.connections.inputs not in ([], [former]), "a new connection of the same port")
+    closer = threading.Thread(target=reader.close)
+    closer.start()
+    closer.join(0.3)
+    assert closer.is_alive(), "it waits for the owner"
+    go_on.set()
+    closer.join(20)
+    assert not [t for t in threading.enumerate() if t.name == "yarp /w > /r"]
+    assert got == [b"1"]
+    assert reader.connections.leaving == []
+
+
+def test_what_was_put_off_of_a_replaced_connection_is_given_up(make_port: MakePort) -> None:
+    waiting: list[Message] = []
+
+    def take(message: Message) -> None:
+        message.later()
+        waiting.append(message)
+
+    server, client = make_port("/server", take), make_port("/client")
+    client.add_output("/server")
+
+    def ask() -> None:
+        with pytest.raises(ConnectionError):
+            client.request(HELLO, timeout=20)
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    until(lambda: waiting, "the request")
+    (former,) = server.connections.inputs
+    client.add_output("/server")
+    until(lambda: server.connections.inputs not in ([], [former]), "a new connection of the same port")
+    asker.join(20)
+    server.close()
+    assert waiting[0].is_retired
+    assert not [t for t in threading.enumerate() if t.name == "yarp /client > /server"]
+
+
+def test_a_port_that_is_opened_as_another_thread_closes_it_is_open_afterwards(
+    naming: LocalNaming, make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port, client = PortCore("/port", naming=naming), make_port("/client")
+    port.open()
+    close, closing, opener = port.connections.close, threading.Event(), threading.Thread(target=port.open)
+
+    def slowly() -> None:
+        closing.set()
+        opener.start()
+        opener.join(0.3)  # it waits
+        close()
+
+    monkeypatch.setattr(port.connections, "close", slowly)
+    closer = threading.Thread(target=port.close)
+    closer.start()
+    assert closing.wait(20)
+    port.close()  # the other thread is at it
+    for thread in (closer, opener):
+        thread.join(20)
+    monkeypatch.undo()
+    assert client.add_output("/port")[0]
+    assert naming.query("/port") == port.contact
+    port.close()
