@@ -144,6 +144,9 @@ class DatagramOutput:
         del deadline
         return item.done
 
+    def leave(self, item: Item) -> None:
+        """Nobody waits here."""
+
     def request(self, *_: object) -> bytes:
         """Datagrams carry no replies."""
         msg = f"udp carries no replies: connect {self.route.source} to {self.route.target} by tcp"

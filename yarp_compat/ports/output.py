@@ -109,11 +109,11 @@ class Output:
         """Wait until a message was sent and, where the carrier does that, acknowledged.
 
         Returns:
-            False where it was not by the deadline, or the peer is gone.
+            False where it was not by the deadline, made room for another one, or the peer is gone.
         """
         if item is not self._current or not item.ours:
             with self._lock:
-                self._wait_for(lambda: item.done or self.closed, deadline)
+                self._wait_for(lambda: item.done or item.dropped or self.closed, deadline)
             return item.done
         try:
             while not self._advance(item):
@@ -121,18 +121,22 @@ class Output:
                     self._dispose()
                     return False
                 if deadline is not None and time.monotonic() > deadline:
-                    item.ours = False
-                    self._hand_over()
+                    self.leave(item)
                     return False
         except OSError:
             self._fail()
             return False
         except BaseException:  # an interrupt from the keyboard
-            item.ours = False
-            self._hand_over()
+            self.leave(item)
             raise
         self._settle(item)
         return True
+
+    def leave(self, item: Item) -> None:
+        """Let the shared thread see a message through that its writer does not :meth:`finish`."""
+        if item is self._current and item.ours:
+            item.ours = False
+            self._hand_over()
 
     def _advance(self, item: Item) -> bool:
         """Wait for a step of a message; whether that was its last."""
@@ -184,6 +188,8 @@ class Output:
         item.own()
         item.ours = False
         self._pending.put(item, strict)
+        if self._waiters:
+            self._changed.notify_all()  # one that somebody waits for may have made room
 
     def _hand_over(self) -> None:
         """Let the shared thread go on."""

@@ -205,26 +205,25 @@ class PortCore:
         made = Outgoing(payload, envelope, "D", text)
         self.counters.sent += 1
         begun: list[tuple[AnyOutput, Item]] = []
-        for output in outputs:
-            if chosen is not None and not chosen(output):
-                continue
-            try:
-                buffers = made.buffers(output.carrier, output.profile or self.profile)
-            except WireError:
-                if not output.carrier.text:
-                    raise
-                self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
-                continue
-            item = output.begin(buffers, strict or wait, wait)
-            if item is not None:
-                begun.append((output, item))
-        reached = len(begun)
-        if wait:
-            deadline = None if timeout is None else time.monotonic() + timeout
+        try:
+            for output in outputs:
+                if chosen is not None and not chosen(output):
+                    continue
+                try:
+                    buffers = made.buffers(output.carrier, output.profile or self.profile)
+                except WireError:
+                    if not output.carrier.text:
+                        raise
+                    self.counters.dropped["no text"] += 1  # who reads it as text must not harm who does not
+                    continue
+                item = output.begin(buffers, strict or wait, wait)
+                if item is not None:
+                    begun.append((output, item))
+            return _finished(begun, timeout) if wait else len(begun)
+        except BaseException:  # one cannot be made, or an interrupt from the keyboard: the others go on by themselves
             for output, item in begun:
-                if not item.done and not output.finish(item, deadline):
-                    reached -= 1
-        return reached
+                output.leave(item)
+            raise
 
     def request(
         self, payload: Content, envelope: str = "", *, timeout: float | None = None, parse: ReplyEnd | None = None
@@ -391,3 +390,9 @@ class PortCore:
     def describe(self) -> tuple[str, ...]:
         """The port and its connections, in YARP's words."""
         return commands.describe(self)
+
+
+def _finished(begun: list[tuple[AnyOutput, Item]], timeout: float | None) -> int:
+    """Wait until outputs are done with a message; how many are in time."""
+    deadline = None if timeout is None else time.monotonic() + timeout
+    return sum(item.done or output.finish(item, deadline) for output, item in begun)

@@ -8,17 +8,19 @@ from yarp_compat.wire import message
 from yarp_compat.wire.message import Buffer
 
 ITEM_BYTES = 192
-"""What a message costs in the queue besides its own bytes (measured: 169 in CPython 3.11)."""
+"""What a message costs in the queue besides its own bytes (measured: 174 in CPython 3.11)."""
 
 
 class Item:
     """A message on its way out."""
 
-    __slots__ = ("buffers", "done", "ours")
+    __slots__ = ("buffers", "done", "dropped", "ours")
 
     def __init__(self, buffers: list[Buffer], ours: bool) -> None:
         self.buffers = buffers
         self.done = False
+        self.dropped = False
+        """It made room for another one."""
         self.ours = ours
         """The thread that wrote it also sees it through."""
 
@@ -48,14 +50,17 @@ class Waiting:
     def put(self, item: Item, strict: bool) -> None:
         """Let a message wait: behind the others, the oldest of which make room; or not ``strict``, in their place."""
         if not strict:
-            self._dropped["replaced"] += len(self._items)
-            self.clear()
+            while (replaced := self.next()) is not None:
+                self._drop(replaced, "replaced")
         size = _cost(item)
-        while self._items and self._bytes + size > self._limit:
-            self.next()
-            self._dropped["full"] += 1
+        while self._bytes + size > self._limit and (oldest := self.next()) is not None:
+            self._drop(oldest, "full")
         self._items.append(item)
         self._bytes += size
+
+    def _drop(self, item: Item, reason: str) -> None:
+        item.dropped = True
+        self._dropped[reason] += 1
 
     def next(self) -> Item | None:
         """The message whose turn it is."""

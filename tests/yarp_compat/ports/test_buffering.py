@@ -142,6 +142,48 @@ def test_who_is_looked_at_is_not_busy(make_port: MakePort, monkeypatch: pytest.M
     until(lambda: got == [b"go"], "the command")
 
 
+@pytest.mark.parametrize("strict", [False, True])
+def test_a_writer_whose_message_makes_room_goes(make_port: MakePort, slow: Slow, strict: bool) -> None:
+    """For a newer one, or behind others that fill the queue."""
+    writer = make_port("/w", limit=3 * BIG)
+    writer.add_output("tcp://slow")
+    for _ in range(2):
+        assert writer.write(b"a", strict=True) == 1, "the shared thread waits for the acknowledgement"
+    (output,) = writer.connections.outputs
+    reached: list[int] = []
+    waiting = threading.Thread(target=lambda: reached.append(writer.write(b"b", wait=True, timeout=20)))
+    waiting.start()
+    until(lambda: output._waiters, "it waits")
+    began = time.monotonic()
+    for _ in range(3):
+        writer.write(bytes(BIG), strict=strict)
+    waiting.join(30)
+    assert reached == [0]
+    assert time.monotonic() - began < 15
+
+
+def test_a_message_that_one_reader_cannot_get_reaches_the_others(make_port: MakePort) -> None:
+    """Nobody waits for them then, and they are free for the next."""
+    got: list[bytes] = []
+    make_port("/a", lambda m: got.append(bytes(m.payload)))
+    make_port("/b", lambda m: None)
+    writer = make_port("/w")
+    for name in ("a", "b"):
+        writer.add_output(f"tcp://{name}")
+    writer.connections.outputs[1].profile = Profile.YARP4
+
+    def content(profile: Profile) -> bytes:
+        if profile is Profile.YARP4:
+            raise WireError
+        return HELLO
+
+    with pytest.raises(WireError):
+        writer.write(content, wait=True, timeout=20)
+    assert writer.wait_writes(20)
+    assert writer.write(HELLO, wait=True, timeout=20) == 2
+    assert got == [HELLO, HELLO]
+
+
 def test_the_queue_is_bounded(make_port: MakePort, slow: Slow) -> None:
     writer = make_port("/w", limit=10 * BIG)
     writer.add_output("tcp://slow")
