@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 import uuid
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from bridge.hub.call import CallError
@@ -17,6 +19,9 @@ FEEDBACK_DEPTH = 100
 
 CANCEL_AGAIN = 0.2
 """Seconds after which a cancel whose call failed is asked for again."""
+
+CANCEL_ALL_SECONDS = 5.0
+"""For so long the cancellation of all goals is: whoever gives one later means it."""
 
 Heard = Callable[[dict[str, Any]], None]
 
@@ -94,6 +99,7 @@ class ActionClient:
         self._cancel = node.client(names.cancel_goal, CANCEL)
         self._feedback = node.subscription(names.feedback, types.feedback, self._heard, Qos(depth=FEEDBACK_DEPTH))
         self._goals: dict[bytes, SentGoal] = {}
+        self._sent = 0
 
     @property
     def ready(self) -> bool:
@@ -108,6 +114,7 @@ class ActionClient:
         """
         sent = SentGoal(self, uuid.uuid4().bytes, feedback, ended)
         self._goals[sent.id] = sent
+        self._sent += 1
         try:
             self._send.call({"goal_id": {"uuid": list(sent.id)}, "goal": goal}, sent.answered)
         except BaseException:
@@ -123,22 +130,29 @@ class ActionClient:
         """Ask the server to cancel a goal; zeros for all.
 
         A stop must not get lost where the server cannot be called for a moment, as while a bridge before it looks who
-        is active: for a goal of its own it is asked until there is an answer, or the goal has ended.
+        is active: for a goal of its own it is asked until there is an answer, or the goal has ended; for all goals for
+        a while, unless one is sent meanwhile.
         """
+        wanted = partial(self.has, goal_id) if any(goal_id) else self._stopping()
 
         def answered(reply: dict[str, Any] | CallError) -> None:
-            if isinstance(reply, CallError) and self.has(goal_id):
-                self._node.loop.after(CANCEL_AGAIN, again)
+            if isinstance(reply, CallError) and wanted():
+                self._node.loop.after(CANCEL_AGAIN, lambda: ask() if wanted() else None)
 
-        def again() -> None:
-            if self.has(goal_id):
-                self.cancel(goal_id)
+        def ask() -> None:
+            self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, answered)
 
-        self._cancel.call({"goal_info": {"goal_id": {"uuid": list(goal_id)}}}, answered)
+        ask()
+
+    def _stopping(self) -> Callable[[], bool]:
+        """Tells whether all goals are still to end that there were."""
+        sent, until = self._sent, time.monotonic() + CANCEL_ALL_SECONDS
+        return lambda: self._sent == sent and time.monotonic() < until
 
     def close(self) -> None:
         """Give its ends back; goals under way go on, and nothing more is heard of them."""
         self._goals.clear()
+        self._sent += 1  # nothing is asked for again
         for end in (self._send, self._result, self._cancel, self._feedback):
             self._node.release(end)
 

@@ -188,8 +188,7 @@ def test_one_goal_or_all_are_cancelled(two: Two) -> None:
     served.may_cancel = True
     two.on(two.client, goals[0].goal.cancel)
     goal = next(g for g in served.goals if g.id == goals[0].goal.id)
-    until(lambda: goal.cancel_wanted, "the server heard it")
-    assert goal.status is Status.CANCELING
+    until(lambda: goal.status is Status.CANCELING, "the server heard it")
     two.on(two.server, goal.canceled)
     assert goals[0].ended()[0] is Status.CANCELED
     two.on(two.client, client.cancel)
@@ -225,12 +224,41 @@ def test_a_cancel_that_cannot_be_asked_for_is_asked_for_again(two: Two, monkeypa
     assert len(asked) == 4, "a goal that has ended is asked for no more"
 
 
+def test_a_cancellation_of_all_goals_is_asked_for_again_until_one_is_sent(
+    two: Two, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = Served(two)
+    client = two.client.action_client("/lookup", LOOKUP)
+    until(lambda: client.ready and client._cancel.ready, "there is a server")
+    asked, ask = list[bytes](), client._cancel.call
+    monkeypatch.setattr("bridge.modules.action_client.CANCEL_ALL_SECONDS", 60.0)
+
+    def call(request: dict[str, Any], replied: Callable[[Any], None]) -> None:
+        asked.append(bytes(request["goal_info"]["goal_id"]["uuid"]))
+        if len(asked) != 3:
+            replied(CallError("no server"))
+        else:
+            ask(request, replied)
+
+    monkeypatch.setattr(client._cancel, "call", call)
+    sent = Sent(two, client, "wait")
+    until(lambda: sent.goal.accepted, "it is accepted")
+    two.on(two.client, client.cancel)
+    until(lambda: served.goals[0].cancel_wanted, "the server heard it")
+    assert asked == [bytes(16)] * 3
+    two.on(two.client, lambda: (client.cancel(), client.send({"target_frame": "wait"}, lambda *_end: None)))
+    again = threading.Event()
+    two.client.loop.after(1.5 * CANCEL_AGAIN, again.set)
+    assert again.wait(40)
+    assert len(asked) == 4, "the goal that was sent since is not cancelled"
+
+
 def test_a_server_that_leaves_ends_its_goals(two: Two) -> None:
-    Served(two)
+    served = Served(two)
     client = two.client.action_client("/lookup", LOOKUP)
     until(lambda: client.ready, "there is a server")
     sent = Sent(two, client, "wait")
-    until(lambda: sent.goal.accepted, "it is accepted")
+    until(lambda: served.goals and served.goals[0]._asking, "its result is asked for")
     two.server.close()
     status, _, why = sent.ended()
     assert status is Status.ABORTED
