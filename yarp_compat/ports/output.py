@@ -205,15 +205,16 @@ class Output:
             self._loop.ignore(self._speaker.sock)
             self._fail()
             return
+        if events is None:
+            return
         if events and not self.closed:
             self._loop.watch(self._speaker.sock, events, self._drive)
             return
         self._loop.ignore(self._speaker.sock)
-        if self.closed:
-            self._dispose()
+        self._dispose()
 
-    def _step(self) -> int:
-        """What to wait for, or 0 where nothing is left, and the connection is free."""
+    def _step(self) -> int | None:
+        """What to wait for; 0 where the connection is closed; None where nothing is left: another thread may drive."""
         while not self.closed:
             item = self._current
             if self._speaker.due and not self._speaker.take_ack():
@@ -226,10 +227,13 @@ class Output:
                 if item is not None:
                     item.done = True
                 self._current = self._pending.next()
-                self._driven = self._current is not None
+                free = self._current is None and not self.closed
+                if free:
+                    self._loop.ignore(self._speaker.sock)
+                    self._driven = False
                 self._changed.notify_all()
-                if self._current is None:
-                    return 0
+                if free:
+                    return None
         return 0
 
     @property

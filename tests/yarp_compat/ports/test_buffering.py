@@ -166,7 +166,7 @@ def test_a_message_that_one_reader_cannot_get_reaches_the_others(make_port: Make
     """Nobody waits for them then, and they are free for the next."""
     got: list[bytes] = []
     make_port("/a", lambda m: got.append(bytes(m.payload)))
-    make_port("/b", lambda m: None)
+    make_port("/b", lambda _: None)
     writer = make_port("/w")
     for name in ("a", "b"):
         writer.add_output(f"tcp://{name}")

@@ -11,7 +11,9 @@ from tests.yarp_compat.ports.conftest import MakePort
 from tests.yarp_compat.ports.test_port import HELLO
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.naming import LocalNaming
+from yarp_compat.ports.outgoing import framed
 from yarp_compat.ports.port import PortCore
+from yarp_compat.ports.waiting import Item
 
 
 def test_a_connection_that_was_replaced_ends_with_the_port(make_port: MakePort) -> None:
@@ -92,3 +94,39 @@ def test_a_port_that_is_opened_as_another_thread_closes_it_is_open_afterwards(
     assert client.add_output("/port")[0]
     assert naming.query("/port") == port.contact
     port.close()
+
+
+def test_a_connection_that_is_closed_as_its_queue_is_empty_says_goodbye(
+    make_port: MakePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that sent the queue leaves the socket to the one that closes it."""
+    make_port("/r")
+    writer = make_port("/w")
+    writer.add_output("tcp://r")
+    (output,) = writer.connections.outputs
+    step, say = output._step, output._speaker.say_goodbye
+    emptied, said = threading.Event(), list[bool]()
+
+    def stepping() -> int | None:
+        events = step()
+        if not output._driven:
+            closer.start()
+            assert emptied.wait(20)
+        return events
+
+    def saying(*, patient: bool) -> None:
+        emptied.set()
+        output._loop.run(lambda: None)  # the shared thread is done with the queue
+        said.append(output._speaker.sock.fileno() >= 0)
+        say(patient=patient)
+
+    closer = threading.Thread(target=output.close)
+    monkeypatch.setattr(output, "_step", stepping)
+    monkeypatch.setattr(output._speaker, "say_goodbye", saying)
+    with output._lock:
+        output._driven = True
+        output._queue(Item([b"".join(framed(HELLO, "", "D"))], ours=False), strict=True)
+    output._hand_over()
+    until(lambda: said, "the goodbye")
+    closer.join(20)
+    assert said == [True]
