@@ -61,8 +61,10 @@ class ServedPort:
             return
         abandon = self._call(request, partial(self._answer, message))
         with self._lock:
-            if message in self._waiting:
+            if waits := message in self._waiting:
                 self._waiting[message] = abandon
+        if not waits:  # who asked went as the call began, or the service did
+            abandon()
 
     def look(self) -> None:
         """Abandon the calls whose callers have gone."""
