@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from bridge.hub.qos import Durability, Qos
@@ -67,11 +68,13 @@ class ActionNavigator:
         if goal is not None and not goal.status.terminal:
             goal.cancel()
 
-    def brake(self) -> None:
-        """Have it stand still, whatever the module's thread is at; `cancel` is to follow. On any thread."""
+    def brake(self) -> Callable[[], None]:
+        """What has it give up the goal at hand, and no later one, whatever the module's thread is at.
+
+        `cancel` is to follow. On any thread.
+        """
         goal = self._goal
-        if goal is not None and goal.active:
-            goal.cancel()
+        return lambda: goal.cancel() if goal is not None and goal.active else None
 
     def _driving(self, _feedback: dict[str, Any]) -> None:
         if self._state is State.PREPARING:

@@ -153,14 +153,16 @@ class RobotPathPlanner(Module):
         task = self.planner.task
         if task is not None:
             self.planner.brake(task)
-            self._local.brake()
+            self._local.brake()()
 
     def _brake(self, goal_id: bytes) -> None:
         """On a thread of the hub, which must not wait."""
         task, goal = self.planner.task, self._goal.goal  # in this order: a task that has been replaced does not matter
         if task is not None and goal is not None and (goal.id == goal_id or not any(goal_id)):
             self.planner.brake(task)
-            self._errands.send(self._local.brake)
+            stop = self._local.brake()
+            if self.planner.task is task:  # else it is of the goal that took its place
+                self._errands.send(stop)
 
     def _halt_asked(self, _params: dict[str, Any]) -> Any:
         """On a thread of the hub."""

@@ -75,9 +75,16 @@ class YarpNavigator:
         """Stand still."""
         self._want(None, State.IDLE)
 
-    def brake(self) -> None:
-        """As `cancel`: this is safe on any thread."""
-        self.cancel()
+    def brake(self) -> Callable[[], None]:
+        """What has it give up the goal at hand, and no later one; see `ActionNavigator.brake`."""
+        number = self._number
+
+        def stop() -> None:
+            with self._lock:
+                if self._number == number:
+                    self.cancel()
+
+        return stop
 
     def close(self) -> None:
         """Ask no more; what drives is left to whoever stops it before."""

@@ -6,7 +6,7 @@ import base64
 import io
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,8 @@ class Planning(Served):
         until(lambda: self.told()["navigator"]["state"] == "idle", "the local navigator is there", 30)
 
     def told(self) -> dict[str, Any]:
-        return self.status("robot_path_planner") or {}
+        """Its status; a module that is busy may not answer at once."""
+        return until(lambda: self.status("robot_path_planner"), "it answers") or {}
 
     def close(self) -> None:
         self.robot.close()
@@ -139,7 +140,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Planning]:
 def place(running: Planning) -> Planning:
     """The planner with nothing to do, its robot in the west."""
     robot = running.robot
-    robot.fails = ""
+    robot.fails, robot.speed = "", 3.0
     until(lambda: not running.module.planner.active, "it is at rest", 60)
     robot.loop.call(lambda: setattr(robot, "goal", None))
     robot.x, robot.y, robot.yaw = 1.0, 1.0, 0.0
@@ -223,6 +224,7 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Planning) -
     status, result = first.end()
     assert (status, result["error_msg"]) == (Status.CANCELED, "another goal took its place")
     assert second.end()[0] is Status.SUCCEEDED
+    place.robot.speed = 0.3
     third = place.robot.send(4.0, 4.0)
     until(lambda: place.robot.x > 1.5, "it drives on", 30)
     third.cancel()
@@ -230,6 +232,25 @@ def test_a_new_goal_takes_the_place_and_a_cancelled_one_stops(place: Planning) -
     assert (status, result["error_msg"]) == (Status.CANCELED, "cancelled")
     until(lambda: not place.robot.goal or not place.robot.goal.active, "the navigator stopped", 20)
     assert place.robot.x < 3.9
+
+
+def test_a_cancel_that_stops_the_navigator_late_stops_no_later_goal(
+    place: Planning, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late: list[Callable[[], None]] = []
+    monkeypatch.setattr(place.module._errands, "send", late.append)
+    place.robot.speed = 0.3
+    first = place.robot.send(4.0, 1.0)
+    until(lambda: place.robot.asked, "it drives", 30)
+    first.cancel()
+    assert first.end()[0] is Status.CANCELED
+    until(lambda: not place.robot.goal.active, "the navigator stopped", 20)
+    second = place.robot.send(1.0, 4.0)
+    until(lambda: place.robot.goal.active, "it drives on", 20)
+    (stop,) = late
+    stop()
+    place.robot.speed = 3.0
+    assert second.end()[0] is Status.SUCCEEDED
 
 
 @pytest.mark.parametrize(

@@ -170,6 +170,18 @@ def test_a_server_that_goes_is_told_and_found_again(network: Network) -> None:
     network.becomes(State.IDLE)
 
 
+def test_a_brake_is_of_the_goal_at_hand_alone(network: Network) -> None:
+    network.becomes(State.IDLE)
+    network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
+    late = network.navigator.brake()
+    network.navigator.send(Pose(3.0, 4.0, 0.0), Constraints())
+    late()
+    network.becomes(State.MOVING)
+    assert network.goto.goals[-1].x == 3.0
+    network.navigator.brake()()
+    until(lambda: network.goto.state == "idle", "it stops", 20)
+
+
 def test_it_is_told_to_stop_until_it_hears(network: Network) -> None:
     network.becomes(State.IDLE)
     network.navigator.send(Pose(1.0, 2.0, 0.0), Constraints())
