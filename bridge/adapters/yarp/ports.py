@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
@@ -115,6 +115,7 @@ class OwnPorts:
         self._own: dict[str, Own] = {}
         self._services: Mapping[str, Served] = {}
         self._taken: frozenset[str] = frozenset()
+        self._stopped = False
         self._trouble: dict[str, tuple[float, str]] = {}
         self._links, self._ends = Crew(_THREADS, "midspan-yarp-links"), Crew(_THREADS, "midspan-yarp-ends")
 
@@ -167,8 +168,9 @@ class OwnPorts:
     ) -> None:
         """Make the ports those of the plan."""
         self._services = services
-        gone = [name for name, own in self._own.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
-        self._close([self._own.pop(name) for name in gone])
+        owned = self._own
+        gone = [name for name, own in owned.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
+        self._close([owned.pop(name) for name in gone])
         now = time.monotonic()
         self._trouble = {name: why for name, why in self._trouble.items() if name.partition(" ")[0] in plan}
         for name, port in plan.items():
@@ -184,7 +186,7 @@ class OwnPorts:
         return own.output is not None and outputs.get(own.plan.topic) is not own.output
 
     def _open(self, port: PortPlan, output: TopicOutput | None) -> None:
-        if port.writes and output is None:
+        if self._stopped or (port.writes and output is None):
             return
         try:
             own = self._made(port, self._free_name(port.name), output)
@@ -193,6 +195,9 @@ class OwnPorts:
             if output is not None and port.writes:  # before it opens: who connects at once gets what is kept
                 output.add(Outlet(own.core, port.content))
             own.core.open()
+            if self._stopped:  # meanwhile, and `stop` found it closed
+                self._close([own])
+                return
             # Before anybody can be asked to connect: what is not marked may be taken for a YARP program's.
             self._naming.set_property(own.core.name, OWNER, self._owner)
         except (OSError, MessageTypeError) as err:
@@ -280,15 +285,16 @@ class OwnPorts:
 
     def leave_taken(self, contacts: Mapping[str, Contact]) -> None:
         """Close the ports whose names others have by now: of two that opened one at once, the first is forgotten."""
+        owned = self._own
         taken = [
             key
-            for key, own in self._own.items()
+            for key, own in owned.items()
             if (found := contacts.get(own.core.name)) is not None
             and (found.host, found.port) != (own.core.contact.host, own.core.contact.port)
         ]
         for key in taken:
-            self._naming.leave(self._own[key].core.name)
-        self._close([self._own.pop(key) for key in taken])
+            self._naming.leave(owned[key].core.name)
+        self._close([owned.pop(key) for key in taken])
 
     def mark_again(self, contacts: Mapping[str, Contact], *, returned: bool) -> None:
         """Register and mark the ports that a name server forgot; mark all where it has just returned."""
@@ -368,9 +374,11 @@ class OwnPorts:
                 own.served.close()
         ends = [self._ends.submit(own.core.close) for own in owns]
         deadline = time.monotonic() + _STOP_SECONDS
-        for end in ends:
+        for own, end in zip(owns, ends, strict=True):
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
+            except CancelledError:  # we stop: nobody else does it any more
+                own.core.close()
             except TimeoutError:
                 _log.warning("closing ports takes long; they are left to themselves")
                 return
@@ -378,9 +386,9 @@ class OwnPorts:
                 _log.exception("closing a port failed")
 
     def stop(self) -> None:
-        """Close everything."""
-        owns = list(self._own.values())
-        self._own.clear()
-        self._close(owns)
+        """Close everything, and open nothing any more."""
+        self._stopped = True
+        owned, self._own = self._own, {}  # another thread may go through it
+        self._close(list(owned.values()))
         for crew in (self._links, self._ends):
             crew.close(_LEAVE_SECONDS)

@@ -65,6 +65,7 @@ class Presence:
         self._seen: dict[str, Sighting] = {}
         self._tried: dict[str, tuple[Contact, Backoff, float]] = {}
         self._looked_since = 0.0
+        self._left = False
         self._core = PortCore(
             PRESENCE + own, naming=naming, on_message=self._on_message, on_event=self._on_event, host=ip
         )
@@ -76,7 +77,12 @@ class Presence:
 
     def open(self) -> None:
         """Come onto the network; raises `NamingError` or `OSError`."""
+        if self._left:
+            return
         self._core.open()
+        if self._left:  # meanwhile, and `close` found it closed
+            self._core.close()
+            return
         self.mark()
 
     def mark(self) -> None:
@@ -119,7 +125,8 @@ class Presence:
             return self._looked_since >= since
 
     def close(self) -> None:
-        """Leave."""
+        """Leave, for good."""
+        self._left = True
         self._core.close()
 
     # -- what comes ----------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from bridge.adapters.base import MadeBy
+from bridge.adapters.yarp import edge as edge_module
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.names import OWNER
 from bridge.config.model import Config
@@ -100,3 +101,43 @@ def test_who_subscribes_during_a_turn_hears_everything_from_then_on(
     until(lambda: cdr("two") in got, "what is written after that")
     assert got == [cdr("one"), cdr("two")]
     writer.stop()
+
+
+def test_what_a_late_turn_opens_is_closed(names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clerk is held up for longer than its end is waited for, and opens a port then."""
+    monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)
+    naming, at, go_on = edge._ports._free_name, threading.Event(), threading.Event()
+
+    def slowly(name: str) -> str:
+        at.set()
+        assert go_on.wait(20)
+        return naming(name)
+
+    monkeypatch.setattr(edge._ports, "_free_name", slowly)
+    edge.advertise("/talk", STRING, Qos())
+    edge.start(LISTENER)
+    assert at.wait(20)
+    edge.stop()
+    go_on.set()
+    edge._clerk.join(20)
+    assert names.client.list("/midspan") == []
+
+
+def test_a_late_turn_does_not_come_onto_the_network(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)
+    at, go_on = threading.Event(), threading.Event()
+
+    def slowly(*_: object) -> None:
+        at.set()
+        assert go_on.wait(20)
+
+    monkeypatch.setattr(edge._ports, "bury", slowly)
+    edge.start(LISTENER)
+    assert at.wait(20)
+    edge.stop()
+    go_on.set()
+    edge._clerk.join(20)
+    assert not edge._presence.is_open
+    assert names.client.list("/midspan") == []
