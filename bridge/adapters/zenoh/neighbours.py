@@ -57,6 +57,7 @@ class Neighbours:
         self._lock = threading.Lock()
         self._seen: dict[str, Sighting] = {}
         self._unsure: dict[str, float] = {}
+        self._told: set[str] = set()
         self._looking_since: float | None = None
         self._looked_since = 0.0
         space = f"{SPACE}/*/{self._place}"
@@ -87,12 +88,14 @@ class Neighbours:
         with self._lock:
             if len(self._unsure) > _MAX_UNSURE:
                 self._unsure.clear()
+                self._told.clear()
             return now - self._unsure.setdefault(zid, now) < DISCOVERY_SECONDS
 
     def tick(self, now: float) -> None:
         """Tell when the moment of an unknown session is over."""
         with self._lock:
-            over = [z for z, since in self._unsure.items() if DISCOVERY_SECONDS <= now - since < DISCOVERY_SECONDS + 1]
+            over = {z for z, since in self._unsure.items() if now - since >= DISCOVERY_SECONDS} - self._told
+            self._told |= over
         if over:
             self._graph_changed()
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -26,6 +27,7 @@ from bridge.adapters.base import (
     MadeBy,
 )
 from bridge.adapters.ros1 import names
+from bridge.adapters.zenoh.announcement import Announcement
 from bridge.adapters.zenoh.edge import KeyEdge, configured
 from bridge.adapters.zenoh.key_caller import KeyCaller
 from bridge.adapters.zenoh.key_server import KeyServer
@@ -161,48 +163,53 @@ class Ros1KeysEdge(KeyEdge):
         """Hear a topic's key, whatever the bridges' namespaces where ours is ``*``."""
         assert self._aloha is not None
         name = Topic(topic, side_type.name, side_type.type_id)
-        withdraw = self._aloha.tell(Kind.SUBSCRIPTION, name)
+        announcement = Announcement(partial(self._aloha.tell, Kind.SUBSCRIPTION, name))
         key = data_key(name, self._namespace)
 
         def closed(part: KeySubscription) -> None:
-            withdraw()
+            announcement.withdraw()
             self.drop(part)
 
         part = KeySubscription(self.session, key, self.inbox(deliver, qos), lambda _sample: key, closed)
         self.keep(part)
+        announcement.tell()
         return part
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a topic's key, and tell the bridges."""
         assert self._aloha is not None
         name = Topic(topic, side_type.name, side_type.type_id)
-        withdraw = self._aloha.tell(Kind.PUBLISHER, name)
+        announcement = Announcement(partial(self._aloha.tell, Kind.PUBLISHER, name))
         key = data_key(name, self._namespace)
-        publisher = Ros1KeyPublisher(self.session, topic, key, qos, withdraw, self.drop)
+        publisher = Ros1KeyPublisher(self.session, topic, key, qos, announcement.withdraw, self.drop)
         self.keep(publisher)
+        announcement.tell()
         return publisher
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Call a service's key, and tell the bridges."""
-        key, withdraw = self._tell(Kind.CLIENT, name, side_type)
-        part = KeyCaller(self.session, key, name, self.limit, self.errands, withdraw, self.drop)
+        key, announcement = self._announcement(Kind.CLIENT, name, side_type)
+        part = KeyCaller(self.session, key, name, self.limit, self.errands, announcement.withdraw, self.drop)
         self.keep(part)
+        announcement.tell()
         return part
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
         """Serve a service's key, whatever the namespace of the bridge that asks, and tell the bridges."""
-        key, withdraw = self._tell(Kind.SERVER, name, side_type)
+        key, announcement = self._announcement(Kind.SERVER, name, side_type)
         any_namespace = data_key(Topic(name, side_type.name, side_type.type_id), "*")
         part = KeyServer(
-            self.session, key, name, self.limit, call, withdraw, self.drop, nothing=b"", asked=any_namespace
-        )
+            self.session, key, name, self.limit, call, announcement.withdraw, self.drop, nothing=b"",
+            asked=any_namespace,
+        )  # fmt: skip
         self.keep(part)
+        announcement.tell()
         return part
 
-    def _tell(self, kind: Kind, name: str, side_type: SideType) -> tuple[str, Callable[[], None]]:
+    def _announcement(self, kind: Kind, name: str, side_type: SideType) -> tuple[str, Announcement]:
         assert self._aloha is not None
         topic = Topic(name, side_type.name, side_type.type_id)
-        return data_key(topic, self._namespace), self._aloha.tell(kind, topic)
+        return data_key(topic, self._namespace), Announcement(partial(self._aloha.tell, kind, topic))
 
 
 def _or_failed(convert: Callable[[bytes], bytes] | None) -> Callable[[bytes], bytes] | None:

@@ -10,7 +10,8 @@ queryables. All are told by liveliness tokens (`bridge.adapters.zenoh.ros2dds_to
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -26,6 +27,7 @@ from bridge.adapters.base import (
     Kind,
     MadeBy,
 )
+from bridge.adapters.zenoh.announcement import Announcement
 from bridge.adapters.zenoh.edge import KeyEdge, configured
 from bridge.adapters.zenoh.key_caller import KeyCaller
 from bridge.adapters.zenoh.key_server import KeyServer
@@ -163,10 +165,10 @@ class Ros2ddsEdge(KeyEdge):
         assert announcer is not None
         key = self._key(topic)
         told = [token.qos for token in graph.publishers(key) if token.type == side_type.name]
-        withdraw = self._tell(Kind.SUBSCRIPTION, key, side_type, joint_qos(told) if told else Qos())
+        announcement = self._announcement(Kind.SUBSCRIPTION, key, side_type, joint_qos(told) if told else Qos())
 
         def closed(part: KeySubscription) -> None:
-            withdraw()
+            announcement.withdraw()
             self.drop(part)
 
         def source_of(sample: zenoh.Sample) -> str:
@@ -186,6 +188,9 @@ class Ros2ddsEdge(KeyEdge):
         else:
             part = KeySubscription(self.session, key, inbox, source_of, closed)
         self.keep(part)
+        if isinstance(part, LatchedSubscription):
+            part.ask_for(_told_depth(graph, key))  # whoever was told since it was made has passed it by
+        announcement.tell()
         return part
 
     def _source_of(self, graph: Graph, key: str, side_type: SideType, sample: zenoh.Sample) -> str:
@@ -206,14 +211,15 @@ class Ros2ddsEdge(KeyEdge):
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:
         """Publish on a key, and tell the bridges."""
         key = self._key(topic)
-        withdraw = self._tell(Kind.PUBLISHER, key, side_type, qos)
-        publisher = Ros2ddsPublisher(self.session, key, qos, self._heartbeats, withdraw, self.drop)
+        announcement = self._announcement(Kind.PUBLISHER, key, side_type, qos)
+        publisher = Ros2ddsPublisher(self.session, key, qos, self._heartbeats, announcement.withdraw, self.drop)
         self.keep(publisher)
+        announcement.tell()
         return publisher
 
-    def _tell(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Callable[[], None]:
+    def _announcement(self, kind: Kind, key: str, side_type: SideType, qos: Qos) -> Announcement:
         assert self._announcer is not None
-        return self._announcer.tell(kind, key, side_type, qos)
+        return Announcement(partial(self._announcer.tell, kind, key, side_type, qos))
 
     def caller(self, name: str, side_type: SideType) -> EdgeCaller:
         """Call a key; each request has an id, as those of the plugin's clients."""
@@ -223,9 +229,12 @@ class Ros2ddsEdge(KeyEdge):
         def request_id(number: int) -> bytes:
             return _REQUEST_ID + client + number.to_bytes(8, "little") + b"\1"
 
-        withdraw = self._tell(Kind.CLIENT, key, side_type, Qos())
-        part = KeyCaller(self.session, key, name, self.limit, self.errands, withdraw, self.drop, request_id)
+        announcement = self._announcement(Kind.CLIENT, key, side_type, Qos())
+        part = KeyCaller(
+            self.session, key, name, self.limit, self.errands, announcement.withdraw, self.drop, request_id
+        )
         self.keep(part)
+        announcement.tell()
         return part
 
     def serve(self, name: str, side_type: SideType, call: Call) -> EdgeServer:
@@ -244,9 +253,10 @@ class Ros2ddsEdge(KeyEdge):
                 return call(data, done)
             return call(data, lambda result: done(refuse() if isinstance(result, CallError) else result))
 
-        withdraw = self._tell(Kind.SERVER, key, side_type, Qos())
-        part = KeyServer(self.session, key, name, self.limit, ask, withdraw, self.drop, nothing)
+        announcement = self._announcement(Kind.SERVER, key, side_type, Qos())
+        part = KeyServer(self.session, key, name, self.limit, ask, announcement.withdraw, self.drop, nothing)
         self.keep(part)
+        announcement.tell()
         return part
 
 
