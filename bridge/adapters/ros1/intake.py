@@ -70,7 +70,7 @@ class Intake:
             if self._stopped:
                 return
             self._stopped = True
-        os.eventfd_write(self._wake, 1)
+            os.eventfd_write(self._wake, 1)  # with the lock: the thread closes it
         if self._thread is not threading.current_thread():
             self._thread.join(_JOIN_SECONDS)
 
@@ -79,14 +79,15 @@ class Intake:
             for number, _ in self._epoll.poll(maxevents=_AT_ONCE):
                 source = self._sources.get(number)
                 then = source.take() if source is not None else None
-                if then is not None:
-                    self._drop(number)
+                if source is not None and then is not None:
+                    self._drop(number, source)
                     self._do(then)
         for source in self._sources.values():
             source.abandon()
         self._sources.clear()
-        self._epoll.close()
-        os.close(self._wake)
+        with self._lock:
+            self._epoll.close()
+            os.close(self._wake)
 
     @staticmethod
     def _do(then: Callable[[], None]) -> None:
@@ -95,7 +96,8 @@ class Intake:
         except Exception:
             _log.exception("what follows the end of a ROS 1 connection failed")
 
-    def _drop(self, number: int) -> None:
+    def _drop(self, number: int, source: Source) -> None:
         with self._lock:
-            del self._sources[number]
-            self._epoll.unregister(number)
+            if self._sources.get(number) is source:
+                del self._sources[number]
+                self._epoll.unregister(number)

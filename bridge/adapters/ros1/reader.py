@@ -71,33 +71,39 @@ class Reader:
         self.done = False
         self._peer = sock.getpeername()
         self._local = sock.getsockname()
+        keep_alive(sock)
         self._sock = socket.socket(fileno=sock.detach())
         self._sock.settimeout(None)
-        keep_alive(self._sock)
         self._deliver, self._ended, self._refused, self._limit = deliver, ended, refused, limit
         self._intake, self._taken = intake, b""
+        self._lock = threading.Lock()  # who closes the socket: nobody reads it before it is started, nor afterwards
         self._started = False
         self._thread = threading.Thread(target=self._run, name=f"midspan-ros1-in{topic}", daemon=True)
 
     def start(self) -> None:
-        """Begin to read."""
-        self._started = True
-        try:
-            if self._intake is not None:
-                if not self._intake.add(self):
-                    self.abandon()
+        """Begin to read, unless it is closed already."""
+        with self._lock:
+            if self.done:
                 return
-        except OSError as err:
-            _log.warning("%s is read on its own: %s", self._thread.name, err)
-        self._thread.start()
+            self._started = True
+            try:
+                if self._intake is not None:
+                    if not self._intake.add(self):
+                        self.done = True
+                        self._sock.close()
+                    return
+            except OSError as err:
+                _log.warning("%s is read on its own: %s", self._thread.name, err)
+        self._go_on_alone()
 
     def close(self) -> None:
         """Stop reading; nothing is delivered from now on."""
-        self.done = True
-        with contextlib.suppress(OSError):
-            self._sock.shutdown(socket.SHUT_RDWR)
-        if not self._started:
-            self._sock.close()
+        with self._lock:
+            self.done = True
+            with contextlib.suppress(OSError):
+                self._sock.shutdown(socket.SHUT_RDWR)
+            if not self._started:
+                self._sock.close()
 
     def take(self) -> Callable[[], None] | None:
         """See `bridge.adapters.ros1.intake.Source`."""
@@ -120,8 +126,9 @@ class Reader:
 
     def abandon(self) -> None:
         """See `bridge.adapters.ros1.intake.Source`."""
-        self.done = True
-        self._sock.close()
+        with self._lock:
+            self.done = True
+            self._sock.close()
 
     def fileno(self) -> int:
         """The socket's descriptor."""
@@ -148,7 +155,8 @@ class Reader:
         self._end(trouble)
 
     def _end(self, trouble: str) -> None:
-        self._sock.close()
+        with self._lock:
+            self._sock.close()
         if not self.done:
             self.done = True
             self._ended(trouble)

@@ -33,7 +33,7 @@ class _Client(Connection):
         super().__init__(sock, loop, limit)
         self._server, self._persistent = server, persistent
         self._state = threading.Lock()
-        self._turn = 0
+        self._turn = self._left = 0
         self._waits = False
         self._busy = False
         self._abandon: Abandon | None = None
@@ -74,6 +74,9 @@ class _Client(Connection):
         with self._state:
             if self._waits and self._turn == turn:
                 self._abandon = abandon
+            left = self._left == turn
+        if left:
+            abandon()
 
     def _too_large(self, size: int) -> bool:  # noqa: ARG002 - its size is told when it is read past
         return True
@@ -96,6 +99,8 @@ class _Client(Connection):
                 return None, 0
             self._waits = False
             abandon, self._abandon = self._abandon, None
+            if not turn and abandon is None:
+                self._left = self._turn  # the call is just being made: who makes it abandons it
             return abandon, self._turn
 
     def _reply(self, result: bytes | CallError) -> None:

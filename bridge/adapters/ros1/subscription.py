@@ -19,7 +19,7 @@ import rospy.impl.registration as registration
 from rospy.topics import _TopicImpl
 
 from bridge.adapters.base import Deliver
-from bridge.adapters.ros1.errors import Ros1Error, UnreachableError
+from bridge.adapters.ros1.errors import Ros1Error, UnreachableError, unanswered
 from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import connect
 from bridge.adapters.ros1.intake import Intake
@@ -156,12 +156,17 @@ class Subscription:
             return
         self._learned(link, facts)
         endpoint = publisher_id(link, latching=facts.latching)
-        reader = Reader(
-            sock, self.topic, link.uri,
-            lambda payload: self._deliver(payload, endpoint, None),
-            lambda trouble: self._ended(link, source, trouble),
-            self._refused, self._limit, self._intake,
-        )  # fmt: skip
+        try:
+            reader = Reader(
+                sock, self.topic, link.uri,
+                lambda payload: self._deliver(payload, endpoint, None),
+                lambda trouble: self._ended(link, source, trouble),
+                self._refused, self._limit, self._intake,
+            )  # fmt: skip
+        except OSError as err:  # it has broken again
+            sock.close()
+            self._failed(link, source, unanswered(f"{link.node} breaks off", err))
+            return
         with self._lock:
             wanted = self._sources.get(link) is source
             if wanted:

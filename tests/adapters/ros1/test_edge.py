@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import os
 import socket
 import struct
 import time
@@ -331,6 +332,24 @@ def test_dead_and_odd_publishers_beside_a_good_one(master, edge):
         assert {e["made_by"] for e in edge.endpoints(node="/hung")} == {"unknown"}
         warning = until(lambda: [w for w in edge.ask("status")["warnings"] if "/odd" in w], "a warning of the odd one")
         assert "connection header claims" in warning[0]
+
+
+def test_a_publisher_that_breaks_off_behind_its_header_is_tried_again(master, edge):
+    """Its connection is over before it is read."""
+    tries = []
+
+    def reset(sock) -> None:
+        with DeadlineSocket(fileno=os.dup(sock.fileno())) as whole:
+            read_header(whole)
+        fields = {"callerid": "/reset", "type": "std_msgs/String", "md5sum": STRING_MD5, "message_definition": "x"}
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        sock.sendall(encode(fields))
+        sock.close()
+        tries.append(fields)
+
+    with publisher(reset) as uri, registered(master, "/reset", "/reset", uri):
+        edge.open("/reset", "std_msgs/String")
+        until(lambda: len(tries) >= 6, "it is tried again and again")
 
 
 def test_a_killed_publisher_counts_no_more(master, edge):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -30,7 +32,10 @@ class Crowd:
         self.publishers: list[socket.socket] = []
         self.readers: list[Reader] = []
 
-    def add(self, deliver: Callable[[bytes], None] | None = None) -> socket.socket:
+    def thread(self) -> threading.Thread:
+        return next(t for t in threading.enumerate() if t is self.intake._thread)
+
+    def add(self, deliver: Callable[[bytes], None] | None = None, *, start: bool = True) -> socket.socket:
         number, (ours, theirs) = len(self.readers), pair()
 
         def hear(payload: bytes) -> None:
@@ -48,7 +53,8 @@ class Crowd:
         )
         self.publishers.append(theirs)
         self.readers.append(reader)
-        reader.start()
+        if start:
+            reader.start()
         return theirs
 
 
@@ -121,6 +127,51 @@ def test_without_a_thread_for_a_large_message_the_connection_ends(
     monkeypatch.setattr(threading.Thread, "start", none_left)
     publisher.sendall(frame(b"x" * 100_000))
     until(lambda: crowd.ended == [(0, "can't start new thread")], "its end is told", 20)
+
+
+def test_it_stops_while_messages_come(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread sees that it is to end before it is woken up for that."""
+    publisher, write = crowd.add(), os.eventfd_write
+    thread = crowd.thread()
+
+    def slow(descriptor: int, value: int) -> None:
+        publisher.sendall(frame(b"x"))
+        thread.join(0.2)
+        write(descriptor, value)
+
+    monkeypatch.setattr(os, "eventfd_write", slow)
+    crowd.intake.stop()
+    assert not thread.is_alive()
+
+
+def test_one_that_is_closed_as_it_starts_harms_no_other(crowd: Crowd, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its closing stands still between its look whether it is read and the socket's end."""
+    closing, dropping = threading.Event(), threading.Event()
+
+    class Slow(socket.socket):
+        def close(self) -> None:
+            closing.set()
+            dropping.wait(0.3)
+            super().close()
+
+    staying, number = crowd.add(), len(crowd.readers)
+    crowd.add(start=False)
+    reader, drop = crowd.readers[number], crowd.intake._drop
+    reader._sock = Slow(fileno=reader._sock.detach())
+    closer = threading.Thread(target=reader.close)
+
+    def late(*given: Any) -> None:
+        dropping.set()
+        closer.join()
+        drop(*given)
+
+    monkeypatch.setattr(crowd.intake, "_drop", late)
+    closer.start()
+    assert closing.wait(20)
+    reader.start()
+    closer.join()
+    staying.sendall(frame(b"on"))
+    until(lambda: crowd.heard == [(0, b"on")], "the other one", 20)
 
 
 def test_what_comes_after_the_end_is_not_read(crowd: Crowd) -> None:

@@ -310,12 +310,27 @@ def test_closing_tells_those_who_wait(bench):
     assert waiting.reply() == (0, b"/serve is served no more")
     assert waiting.ended()
     assert idle.ended()
-    assert bench.handler.abandoned == [0]
+    until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
     assert (list(bench.servers.names()), bench.changes) == ([], changes + 1)
     assert "does not serve" in bench.connect()[1]["error"]
     bench.servers.open("/serve", TYPE, bench.handler)
     bench.handler.at_once = True
     assert bench.open().call(b"ab") == (1, b"ba")
+
+
+def test_closing_abandons_a_call_that_is_just_being_made(bench):
+    def made(request: bytes, done: Any) -> Any:
+        abandon = type(bench.handler).__call__(bench.handler, request, done)
+        closer = threading.Thread(target=bench.server.close)
+        closer.start()
+        closer.join(20)
+        return abandon
+
+    bench.handler.at_once = False
+    bench.server.call = made
+    client = bench.open()
+    assert client.call(b"long") == (0, b"/serve is served no more")
+    until(lambda: bench.handler.abandoned == [0], "the call is abandoned")
 
 
 def test_two_servers_of_a_name(bench):

@@ -39,8 +39,9 @@ class Actions:
     def stop(self) -> None:
         """Look after nothing any more; what is open was closed by who opened it."""
         self._stopping.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
-            self._thread.join(1.0)
+        thread = self._thread  # it ends by itself where nothing is open any more
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(1.0)
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
