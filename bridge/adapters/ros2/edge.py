@@ -263,6 +263,7 @@ class Ros2Edge(Edge):
         )
         with self._lock:
             self._subscriptions.add(subscription)
+        subscription.refit()  # a change of the graph since it was made has passed it by
         return subscription
 
     def advertise(self, topic: str, side_type: SideType, qos: Qos) -> EdgePublisher:

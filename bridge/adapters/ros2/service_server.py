@@ -212,10 +212,12 @@ class Ros2Server(Reader, EdgeServer):
             if self._closed:
                 return
             self._closed = True
-            waiting = list(self._asked.values())
-        for asked in waiting:
-            if asked.abandon is not None:
-                asked.abandon()
+            waiting = [(asked, asked.abandon) for asked in self._asked.values()]
+            for asked, _ in waiting:
+                asked.left = True  # a call that is just being made is abandoned by who makes it
+        for asked, abandon in waiting:
+            if abandon is not None:
+                abandon()
             self._answer(asked, CallError(f"{self.name} is not bridged any more"))
         with self._lock:
             clients = list(self._clients.values())

@@ -79,13 +79,13 @@ class Ros2Subscription:
 
     def refit(self) -> None:
         """Have a reader for each class of the native publishers that are there now."""
-        publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
-        wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
-        if not wanted and not self._readers:
-            wanted = {Class(self.qos.reliability, self.qos.durability)}
-        with self._lock:
+        with self._lock:  # the look at the graph too: an older one must not come last
             if self.closed:
                 return
+            publishers = {g: p for g, p in self._graph.publishers(self.topic).items() if p.made_by is MadeBy.NATIVE}
+            wanted = {self._class_of(p, publishers.values()) for p in publishers.values()}
+            if not wanted and not self._readers:
+                wanted = {Class(self.qos.reliability, self.qos.durability)}
             # A publisher's class may change with its company; see `_class_of`.
             self._sources = {
                 gid: _Source(publisher.id, self._class_of(publisher, publishers.values()))

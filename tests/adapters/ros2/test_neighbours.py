@@ -54,6 +54,8 @@ def strangers(table: Table, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         told = threading.Event()
         watch = neighbours.Neighbours(OWN, 3, told.set, table.folder)
         watches.append(watch)
+        if then is not None:  # its end must come before a second look, however slow this machine is
+            monkeypatch.setattr(neighbours, "CONFIRM_SECONDS", seconds / 2)
         watch.follow(participants)
         watch.follow(participants if then is None else then)
         return told.wait(seconds)
@@ -95,7 +97,7 @@ def test_process_with_a_shm_folder_of_its_own_is_a_stranger(
 
 
 def test_program_that_has_just_ended_is_no_stranger(strangers: Callable[..., bool]) -> None:
-    assert not strangers(prefix(4711), then=(), seconds=0.3)
+    assert not strangers(prefix(4711), then=(), seconds=2.0)
 
 
 def test_one_killed_as_it_came_is_no_stranger_until_its_lease_is_over(
