@@ -70,14 +70,17 @@ class ControlServer:
 
     def _send(self, data: bytes) -> bool:
         with self._lock:
-            if self._client is None:
-                return False
-            try:
-                self._client.sendall(data)
-            except OSError:
-                self._drop()
-                return False
-            return True
+            return self._send_now(data)
+
+    def _send_now(self, data: bytes) -> bool:
+        if self._client is None:
+            return False
+        try:
+            self._client.sendall(data)
+        except OSError:
+            self._drop()
+            return False
+        return True
 
     def _drop(self) -> None:
         if self._client is not None:
@@ -96,7 +99,7 @@ class ControlServer:
             with self._lock:
                 self._drop()
                 self._client = client
-            self._send(encode_report(self._hello))
+                self._send_now(encode_report(self._hello))  # before any other report
             self._flush_log()
             threading.Thread(target=self._read, args=(client,), name="control-client", daemon=True).start()
 

@@ -96,7 +96,7 @@ def test_a_bridge_that_stops_ends_its_calls(side: Side, bridge: Bridge, far: Hub
     assert peer.ask("requests", id=served, count=1)["requests"]
     bridge.stop()
     assert waiting.result(30)["error"]
-    assert not far.hub.graph.servers("/do")
+    until(lambda: not far.hub.graph.servers("/do"), "the server is gone from the hub", 30)
 
 
 def test_errors_cross(side: Side, bridge: Bridge, far: HubSide) -> None:

@@ -94,6 +94,7 @@ def test_worker_that_can_never_work_is_not_restarted_at_once(daemon: Daemon) -> 
     assert len(daemon.pids("ros1")) == 1
 
 
+@pytest.mark.alone
 def test_hanging_worker_does_not_delay_the_stop_beyond_five_seconds(daemon: Daemon) -> None:
     for worker in WORKERS:
         daemon.order(worker, "hang-at-stop")

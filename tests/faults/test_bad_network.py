@@ -97,6 +97,7 @@ def link(tmp_path: Path) -> Iterator[Link]:
             engine.close()
 
 
+@pytest.mark.alone
 def test_what_waited_in_a_stalled_link_is_not_obeyed(link: Link) -> None:
     heard, mouth = Heard(link.engine.hub, "/chat"), talk(link.operator, "/chat")
     until(mouth.matched, "the other topic")
@@ -176,6 +177,7 @@ def test_cut_connections_are_made_anew_with_all_state(link: Link) -> None:
     assert link.latest() < LATE
 
 
+@pytest.mark.alone
 def test_a_slow_link_delays_nobody_else(link: Link) -> None:
     """50 kB/s for a stream of 3 MB/s: the robot's own subscribers get all of it at once, and commands stay fresh."""
     qos = Qos(Reliability.RELIABLE, depth=5)
