@@ -10,6 +10,7 @@ from typing import Any
 from bridge.config.sections.localization_server import LocalizationServerSection
 from bridge.hub.qos import Qos
 from bridge.modules.host import Host
+from bridge.modules.newest import Newest
 from navigation.frames import LATE, Frames, FramesError
 from navigation.localization_server.estimate import Estimate, Floats, Status, covariance_of, unknown
 from navigation.localization_server.messages import (
@@ -143,6 +144,7 @@ class Port(Given):
 
     def __init__(self, host: Host, section: LocalizationServerSection, frames: Frames) -> None:
         super().__init__(host, section, frames)
+        self._poses = Newest(host.loop, self._valued)
         host.yarp.input(section.pose_port, self._received)
 
     @property
@@ -152,13 +154,13 @@ class Port(Given):
 
     def _received(self, received: Received) -> None:
         """On the thread of the connection."""
-        values = list(received.values)
-        self._host.loop.post(lambda: self._valued(values))
+        self._poses.put((self._host.clock.now_ns(), list(received.values)))
 
-    def _valued(self, values: list[Any]) -> None:
+    def _valued(self, said: tuple[int, list[Any]]) -> None:
+        came, values = said
         numbers = values[1:4] if len(values) in (4, 5) and isinstance(values[0], str) else values
         if len(numbers) != 3 or not all(isinstance(n, int | float) and math.isfinite(n) for n in numbers):
             self.refuse(f"{values} is neither a Map2DLocation nor x, y and degrees")
             return
         x, y, degrees = map(float, numbers)
-        self.take(Pose(x, y, math.radians(degrees)))
+        self.take(Pose(x, y, math.radians(degrees), came))

@@ -15,6 +15,7 @@ from bridge.hub.qos import Qos
 from bridge.modules.action_server import Goal
 from bridge.modules.host import Host
 from bridge.modules.module import Module
+from bridge.modules.newest import Newest
 from bridge.stores.errors import StoreError
 from bridge.worker import Health
 from navigation.calls import Calls
@@ -63,6 +64,7 @@ class RobotGoto(Module):
         self._localized, self._laser_trouble = Localized(host), ""
         self._lost = ""
         self._frames = Frames(host, section.frame, section.base_frame, section.odom_frame)
+        self._yarp_scans = Newest(host.loop, self._take_yarp)
         self._told = Told(host, section.frame, section.cmd_vel, section.prefix)
         self._connected: Connected | None = None
         if section.scan:
@@ -119,13 +121,15 @@ class RobotGoto(Module):
 
     def _yarp_scanned(self, received: Received) -> None:
         """On the thread of the connection."""
-        scan = received.to(LaserScan2D)
-        self._host.loop.post(lambda: self._take_yarp(scan))
+        self._yarp_scans.put((self.now(), received.to(LaserScan2D)))
 
-    def _take_yarp(self, scan: LaserScan2D) -> None:
+    def _take_yarp(self, said: tuple[float, LaserScan2D]) -> None:
+        came, scan = said
+        if not 0.0 <= self.now() - came <= self.driver.settings.laser_timeout:
+            return  # it waited for the thread, or came before the clock was set back
         at = self._section.laser_pose
         try:
-            turn = of_yarp(scan, round(self.now() * 1e9))
+            turn = of_yarp(scan, round(came * 1e9))
             self.driver.scan(turn, moved_at(self._frames, 0), Pose(at.x, at.y, math.radians(at.theta)))
         except (FramesError, ScanError) as err:
             self._laser_trouble = str(err)

@@ -46,6 +46,7 @@ from navigation.status import Fault, State
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.mapgrid import MapGrid2D
 from yarp_compat.pythonic import Received
+from yarp_compat.wire.errors import WireError
 
 _GRID = "nav_msgs/msg/OccupancyGrid"
 _LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
@@ -214,15 +215,15 @@ class RobotPathPlanner(Module):
 
     def _clicked(self, received: Received) -> None:
         """On the thread of the connection."""
-        self._host.loop.post(lambda: self._drive_click(received.values))
+        values = received.values
 
-    def _drive_click(self, values: list[Any]) -> None:
+        def drive() -> None:
+            self.drive(Place("", goal_of_click(self.planner.ground, values)))
+
         try:
-            goal = goal_of_click(self.planner.ground, values)
+            self._host.loop.call(drive, late=False)
         except ValueError as err:
-            self._host.log.warning("yarpviewTarget:i: %s", err)
-            return
-        self.drive(Place("", goal))
+            raise WireError(str(err)) from None  # the port counts it, and tells of it now and then
 
     # what happens
 

@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from bridge.config.model import Config
 from bridge.hub.qos import Qos
 from bridge.stores.kinds import MAP
 from navigation.localization_server.messages import POSE_COVARIANCE, spatial
-from navigation.localization_server.module import _same
+from navigation.localization_server.module import LocalizationServer, _same
 from navigation.maps.grid import from_grid, to_grid, yaw_of
 from navigation.messages import pose_message
 from navigation.pose import Pose, wrapped
@@ -323,7 +324,7 @@ def test_in_front_of_amcl(place: Place, robot: Robot) -> None:
     until(says(place, "error", "localisation is stale"), "a dead amcl is told", 20)
 
 
-def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
+def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = place.far.subscribe("/tf", "tf2_msgs/TFMessage")
     section = {"enabled": True, "period": 0.05, "topic": "/uwb", "pose_age": 1.0}
 
@@ -352,6 +353,19 @@ def test_poses_of_a_topic_and_of_a_port(place: Place, robot: Robot) -> None:
         until(lambda: (writer.write(there), near(place, Pose(2.0, 3.0, math.pi / 2), 0.01)())[1], "a location", 20)
         numbers = [3.0, 2.0, -90.0]
         until(lambda: (writer.write(numbers), near(place, Pose(3.0, 2.0, -math.pi / 2), 0.01)())[1], "numbers", 20)
+    server, go_on, taken = place.worker._running["localization_server"]._module, threading.Event(), list[Pose]()
+    assert isinstance(server, LocalizationServer)
+    source: Any = server._source
+    monkeypatch.setattr(source, "take", taken.append)
+    server._host.loop.post(lambda: go_on.wait(40))
+    for x in (1.0, 2.0):
+        source._received(SimpleNamespace(values=[x, 0.0, 0.0]))
+    came = server._host.clock.now_ns()
+    until(lambda: server._host.clock.now_ns() > came, "time passes")
+    go_on.set()
+    server._host.loop.call(lambda: None)
+    assert [pose.x for pose in taken] == [2.0], "while the thread is busy the newest alone waits"
+    assert taken[0].stamp_ns <= came, "and is of when it came"
 
 
 def test_poses_with_a_covariance_and_of_an_odometry(place: Place) -> None:

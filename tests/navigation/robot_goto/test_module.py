@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from tests.navigation.served import STATUS, Program, Served
 from tests.support.wait import until
 from yarp_compat.dev.client import ServiceClient
 from yarp_compat.dev.inavigation2d import INavigation2DMsgs, NavigationMapTypeEnum, NavigationStatusEnum
+from yarp_compat.dev.laserscan import LaserScan2D
 from yarp_compat.dev.locations import Map2DLocation
 from yarp_compat.dev.mapflag import MapFlag
 from yarp_compat.dev.robotgoto_commands import RobotGotoMsgs
@@ -271,6 +274,29 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
         assert client.remote.goto_target_by_absolute_location_RPC(Map2DLocation("", 0.0, -1.0, math.nan))
         assert client.remote.stop_navigation_RPC()
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_idle
+
+
+def test_a_scan_of_yarp_that_waited_is_of_when_it_came(place: Goto, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, go_on = place.module, threading.Event()
+    taken: list[int] = []
+    monkeypatch.setattr(
+        module.driver, "scan", lambda turn, *_where: taken.append(turn.time_ns) if turn.farthest == 7.0 else None
+    )
+    scan = LaserScan2D()
+    scan.scans, scan.angle_min, scan.angle_max, scan.range_min, scan.range_max = [1.0] * 90, 0.0, 360.0, 0.1, 7.0
+    before = module.now()
+    module._host.loop.post(lambda: go_on.wait(40))
+    for _ in range(2):
+        module._yarp_scanned(SimpleNamespace(to=lambda _kind: scan))
+    came = module.now()
+    until(lambda: module.now() > came + 0.01, "some time passes")
+    go_on.set()
+    module._host.loop.call(lambda: None)
+    assert len(taken) == 1, "the newest alone"
+    assert before - 1e-6 <= taken[0] / 1e9 <= came + 1e-6
+    for said in (module.now() - 10.0, module.now() + 10.0):
+        module._host.loop.call(lambda said=said: module._take_yarp((said, scan)))
+    assert len(taken) == 1, "an old one, and one of before the clock was set back, are left out"
 
 
 def test_its_commands_in_words_and_as_a_service(place: Goto) -> None:

@@ -306,6 +306,13 @@ def test_yarp_asks_clicks_and_sees(place: Planning) -> None:
         connections.connect(names, place.registered("/robotPathPlanner/map:o"), "/test/view")
         connections.connect(names, place.registered("/robotPathPlanner/plannerStatus:o"), "/test/status")
         connections.connect(names, "/test/clicks", place.registered("/robotPathPlanner/yarpviewTarget:i"))
+        clicks.write(["nowhere"])
+
+        def refused() -> bool:
+            ports = {port["port"]: port for port in place.told()["ports"]}
+            return "is neither" in str(ports["/robotPathPlanner/yarpviewTarget:i"]["error"])
+
+        until(refused, "what is no click is counted", 20)
         clicks.write([80, 80, 80, 60])  # a drag upwards, from row 80 of 100
 
         until(lambda: robot.x == pytest.approx(4.025) and robot.yaw == pytest.approx(math.pi / 2), "the drag", 30)
