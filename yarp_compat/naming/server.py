@@ -135,6 +135,7 @@ class NameServer:
             self.collect(patience=1)
         with self._lock:
             answer = self.registry.apply(words, remote)
+            self._tell(answer)
         self._follow(answer)
         return answer
 
@@ -159,12 +160,16 @@ class NameServer:
             _log.info("nobody listens any more at the ports %s: forgotten", ", ".join(gone[:20]))
             with self._lock:
                 answer = self.registry.remove(gone)
+                self._tell(answer)
             self._follow(answer)
         return gone
 
-    def _follow(self, answer: Answer) -> None:
+    def _tell(self, answer: Answer) -> None:
+        """Tell who listens what changed; with the lock held, as that waits for nobody, so that all hear it in order."""
         for event in answer.events:
-            self._port.write(encode(event, self._profile))
+            self._port.write(encode(event, self._profile), strict=True)
+
+    def _follow(self, answer: Answer) -> None:
         for wish in answer.wishes:
             self._connector.want(wish)
         if answer.changed:

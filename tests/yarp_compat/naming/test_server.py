@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import threading
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -198,13 +200,52 @@ def test_events(names: NameClient, open_port: Open) -> None:
     until(lambda: open_port.came[-2:] == [["add", "/p"], ["del", "/p"]], "the events came")
 
 
+def test_who_listens_slowly_hears_every_event(names: NameClient) -> None:
+    """None takes the place of another."""
+    came, go_on = list[list[object]](), threading.Event()
+
+    def take(message: Message) -> None:
+        assert go_on.wait(20)
+        came.append(decode(message.payload))
+
+    watch = PortCore("/watch", on_message=take, naming=names)
+    watch.open()
+    connections.connect(names, "/root", "/watch")
+    for number in range(20):
+        names.register(f"/p{number}")
+    go_on.set()
+    until(lambda: came[-20:] == [["add", f"/p{number}"] for number in range(20)], "the events came")
+    watch.close()
+
+
+def test_events_come_in_the_order_of_what_happened(
+    server: NameServer, names: NameClient, open_port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_port("/watch")
+    connections.connect(names, "/root", "/watch")
+    write, second = server._port.write, threading.Thread(target=server.apply, args=(["register", "/second"], "1.2.3.4"))
+
+    def slowly(event: bytes, **options: Any) -> int:
+        if decode(event) == ["add", "/first"]:
+            second.start()
+            second.join(0.3)  # it waits
+        return write(event, **options)
+
+    monkeypatch.setattr(server._port, "write", slowly)
+    names.register("/first")
+    second.join(20)
+    events = [["add", "/first"], ["add", "/second"]]
+    until(lambda: all(event in open_port.came for event in events), "the events came")
+    assert [event for event in open_port.came if event in events] == events
+
+
 def test_persistent_connections(names: NameClient, open_port: Open) -> None:
     """Made when the second port comes, and again whenever one returns; by the carrier that was asked for."""
     assert names.command(["subscribe", "/w", "fast_tcp://r"]) == ["ok"]
     ports = {"/w": open_port("/w"), "/r": open_port("/r")}
     for returning in ("/r", "/w", "/r"):
-        until(lambda: [r.carrier for r in ports["/w"].outputs()] == ["fast_tcp"], "connected")
         until(lambda: ports["/r"].inputs(), "connected at the reader")
+        until(lambda: [r.carrier for r in ports["/w"].outputs()] == ["fast_tcp"], "connected")
         seen = len(open_port.came)
         ports["/w"].write(encode(["hello"], Profile.YARP3))
         until(lambda seen=seen: len(open_port.came) > seen, "the message came")
