@@ -170,6 +170,7 @@ class YarpEdge(Edge):
         """Have the ports that what is routed needs."""
         with self._lock:
             outputs, heard = dict(self._outputs), dict(self._heard)
+        served = self._services.served()
         plan = make_plan(
             [self._wanted(topic, output.side_type) for topic, output in outputs.items()],
             [self._wanted(subscription.topic, subscription.side_type) for subscription in heard.values()],
@@ -177,7 +178,7 @@ class YarpEdge(Edge):
             self._names,
             self._graph,
         )
-        self._ports.follow(plan | self._services.plan(self._names), outputs, self._services.served())
+        self._ports.follow(plan | self._services.plan(self._names, served), outputs, served)
         self._ports.look_for_callers()
         for inlet in self._ports.inlets():
             self._let_hear(inlet)

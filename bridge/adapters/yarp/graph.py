@@ -88,7 +88,9 @@ class Graph:
         self.contacts = {contact.name: contact for contact in contacts}
         peers = frozenset(peers)
         self._strangers = peers - self.contacts.keys()
-        self._known = {name: known for name, known in self._known.items() if self.contacts.get(name) == known.contact}
+        for name, known in list(self._known.items()):  # in place: connections' threads take out of it, too
+            if self.contacts.get(name) != known.contact:
+                self._known.pop(name, None)
         self._revive()
         nodes, trouble = [], dict[str, str]()
         for name in [*self.contacts, *peers]:

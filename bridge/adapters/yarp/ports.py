@@ -172,7 +172,9 @@ class OwnPorts:
         gone = [name for name, own in owned.items() if plan.get(name) != own.plan or self._stale(own, outputs)]
         self._close([owned.pop(name) for name in gone])
         now = time.monotonic()
-        self._trouble = {name: why for name, why in self._trouble.items() if name.partition(" ")[0] in plan}
+        for key in list(self._trouble):  # in place: the threads that connect write to it, too
+            if key.partition(" ")[0] not in plan:
+                self._trouble.pop(key, None)
         for name, port in plan.items():
             own = self._own.get(name)
             if own is not None:

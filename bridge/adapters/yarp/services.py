@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from bridge.adapters.base import EdgeCaller, EdgeServer
@@ -57,10 +57,10 @@ class Services:
         with self._lock:
             return dict(self._served)
 
-    def plan(self, names: PortNames) -> dict[str, PortPlan]:
-        """The ports that they need."""
+    def plan(self, names: PortNames, served: Mapping[str, Service]) -> dict[str, PortPlan]:
+        """The ports that services need."""
         found: dict[str, PortPlan] = {}
-        for service in self.served().values():
+        for service in served.values():
             port = names.rpc(service.name)
             request, reply = self._contents.of_service(service.name)
             found[port] = PortPlan(port, False, service.name, service.side_type.name, "", request, reply=reply)

@@ -14,6 +14,7 @@ from bridge.adapters.base import MadeBy
 from bridge.adapters.yarp import edge as edge_module
 from bridge.adapters.yarp.edge import YarpEdge
 from bridge.adapters.yarp.names import OWNER
+from bridge.adapters.yarp.plan import PortPlan
 from bridge.config.model import Config
 from bridge.hub.qos import Durability, Qos
 from bridge.messages.registry import Registry
@@ -141,3 +142,47 @@ def test_a_late_turn_does_not_come_onto_the_network(
     edge._clerk.join(20)
     assert not edge._presence.is_open
     assert names.client.list("/midspan") == []
+
+
+class Failing(dict[str, PortPlan]):
+    """A plan without ports; a connection fails as it is looked at."""
+
+    def __init__(self, trouble: dict[str, tuple[float, str]]) -> None:
+        super().__init__()
+        self._trouble = trouble
+
+    def __contains__(self, name: object) -> bool:
+        self._trouble[f"/here /peer{len(self._trouble)}"] = 0.0, "it is gone"
+        return name == "/here"
+
+
+def test_a_connection_that_fails_as_ports_are_planned_is_told(edge: YarpEdge) -> None:
+    ports = edge._ports
+    ports._trouble = {"/gone /peer": (0.0, "it is not there")}
+    ports.follow(Failing(ports._trouble), {}, {})
+    assert ports.warnings() == ["it is gone"]
+
+
+def test_a_service_may_go_as_ports_are_planned(
+    edge: YarpEdge, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan, connect = edge._services.plan, edge._ports.connect
+    server = edge.serve("/lamp", REGISTRY.service_ros2("std_srvs/srv/SetBool"), lambda *_: lambda: None)
+    planned, ended = threading.Event(), threading.Event()
+
+    def planning(*args: Any) -> dict[str, PortPlan]:
+        found = plan(*args)
+        server.close()
+        planned.set()
+        return found
+
+    def connecting() -> None:
+        connect()
+        if planned.is_set():
+            ended.set()
+
+    monkeypatch.setattr(edge._services, "plan", planning)
+    monkeypatch.setattr(edge._ports, "connect", connecting)
+    edge.start(LISTENER)
+    assert ended.wait(20)
+    assert "following the network failed" not in caplog.text

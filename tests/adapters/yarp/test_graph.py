@@ -8,12 +8,13 @@ from typing import Any
 
 import pytest
 
-from bridge.adapters.yarp.graph import Graph, NodePort
+from bridge.adapters.yarp.graph import Graph, NodePort, _Known
 from bridge.messages.registry import Registry
 from tests.support.wait import until
 from tests.support.yarp_programs import Names
 from yarp_compat.os.nested import LATCHED
 from yarp_compat.ports.port import PortCore
+from yarp_compat.wire.contact import Contact
 
 PORT = "/map+@/server"
 
@@ -74,3 +75,26 @@ def test_a_publisher_that_is_registered_and_does_not_listen_yet_is_not_there(nam
 
     until(there, "it is there, and known for latched", 20)
     port.close()
+
+
+class Forgetting:
+    """A contact whose port is forgotten as it is looked at."""
+
+    def __init__(self, graph: Graph, name: str) -> None:
+        self._graph, self._name = graph, name
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __eq__(self, _: object) -> bool:
+        self._graph.forget(self._name)
+        return True
+
+
+def test_a_port_whose_connection_ends_as_the_list_is_taken_up_is_forgotten(names: Names) -> None:
+    graph = Graph(Registry())
+    for name in ("/a", "/b", "/c"):
+        graph._known[name] = _Known(Contact(name, "127.0.0.1", 10002), 0.0)
+    graph._known["/a"].contact = Forgetting(graph, "/a")  # type: ignore[assignment]
+    graph._known["/b"].contact = Forgetting(graph, "/c")  # type: ignore[assignment]
+    graph.update(names.client, [Contact(name, "127.0.0.1", 10002) for name in ("/a", "/b", "/c")], ())
+    assert graph._known.keys() == {"/b"}
