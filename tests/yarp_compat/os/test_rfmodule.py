@@ -69,11 +69,16 @@ def test_a_module_that_is_not_configured_does_not_run() -> None:
 def test_signals_stop_it_at_once(number: int) -> None:
     before = signal.getsignal(number)
     module = Module(period=60.0)
-    timer = threading.Timer(0.1, os.kill, (os.getpid(), number))
-    timer.start()
+
+    def stop() -> None:
+        until(lambda: "update" in module.said, "its first round")
+        os.kill(os.getpid(), number)
+
+    thread = threading.Thread(target=stop)
+    thread.start()
     begin = time.monotonic()
     assert module.runModule(finder()) == 0
-    timer.join()
+    thread.join()
     assert time.monotonic() - begin < 30
     assert module.said == ["configure", "update", "interrupt", "close"]
     assert signal.getsignal(number) is before
