@@ -54,9 +54,10 @@ class HostedPort:
         return bool(self.core.connections.outputs)
 
     def write(self, content: Content, envelope: str = "") -> int:
-        """Send a message to all that are connected, waiting for nobody; returns how many took it."""
-        if self.trouble:
-            return 0
+        """Send a message to all that are connected, waiting for nobody; returns how many took it.
+
+        Also before `trouble` is gone: who waits for a port's name connects as soon as that is registered.
+        """
         took: int = self.core.write(payload_of(content), envelope, strict=False)
         if took:
             self.counters.crossed(0)

@@ -12,9 +12,10 @@ from bridge.modules.loop import Loop
 from bridge.modules.ports import Ports
 from tests.support.ports import free_port
 from tests.support.wait import until
+from yarp_compat.naming import connections
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.server import NameServer
-from yarp_compat.pythonic import Client
+from yarp_compat.pythonic import Client, Reader
 from yarp_compat.wire.values import Vocab
 
 
@@ -67,4 +68,20 @@ def test_who_asks_a_module_whose_thread_has_ended_is_told(config: Config) -> Non
             assert client.ask(["one"], timeout=40) == ["heard", "one"]
             loop.close()
             assert client.ask(["two"], timeout=40) == [Vocab("fail"), "the thread has ended"]
+        ports.close()
+
+
+def test_who_connects_as_a_port_is_registered_loses_nothing(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    ports = Ports(config)
+    monkeypatch.setattr(ports, "_open", lambda port: port.core.is_open or port.core.open())  # it goes no further
+    with NameServer(port=Address(*config.yarp.place).port, gc_seconds=0):
+        port = ports.output("/said:o")
+        until(lambda: port.core.is_open, "it is registered")
+        with Reader("/heard:i", naming=ports.naming) as reader:
+            connections.connect(ports.naming, "/said:o", "/heard:i")
+            assert port.trouble
+            assert port.write(["first"]) == 1
+            received = reader.read()
+            assert received is not None
+            assert received.values == ["first"]
         ports.close()
