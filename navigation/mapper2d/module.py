@@ -87,7 +87,7 @@ class Mapper2D(Module):
         if section.initial_pose:
             host.node.subscription(section.initial_pose, COVARIANT, self._placed)
         self._offer(host, section.prefix)
-        host.on_jump(self._waiting.clear)
+        host.on_jump(self._forget)
         host.every(_BEAT, self._work)
         host.every(section.period, self._tell)
 
@@ -124,12 +124,12 @@ class Mapper2D(Module):
 
     def _hear_yarp(self, received: Received) -> None:
         """On the thread of the connection."""
-        now = self._host.clock.now_ns()
+        clock = self._host.clock
         try:
-            turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or now)
+            turn = of_yarp(received.to(LaserScan2D), sent(received.envelope) or clock.now_ns())
         except ScanError as err:
             raise WireError(str(err)) from None
-        self._host.loop.call(lambda: self._take(_Scan(now, "", turn)))
+        self._host.loop.call(lambda: self._take(_Scan(clock.now_ns(), "", turn)))
 
     def _take(self, scan: _Scan) -> None:
         self._heard = scan.came
@@ -151,7 +151,7 @@ class Mapper2D(Module):
                     turn = turn.turned_over()
                 self.mapper.scan(pose, believed(turn), turn.first, turn.step, turn.farthest)
             except FramesError as err:
-                if now - scan.came < _PATIENCE_NS:
+                if 0 <= now - scan.came < _PATIENCE_NS:
                     return
                 self._drop(str(err))
             except ValueError as err:
@@ -159,6 +159,11 @@ class Mapper2D(Module):
             else:
                 self._trouble, self._changed = "", True
             self._waiting.popleft()
+
+    def _forget(self) -> None:
+        """The clock was set back: what was heard by it is no more."""
+        self._waiting.clear()
+        self._heard = None
 
     def _drop(self, why: str) -> None:
         self._dropped += 1
@@ -208,7 +213,8 @@ class Mapper2D(Module):
         """Whether it maps, and what of."""
         if not self.mapper.mapping:
             return Health("running", "stopped: it takes no scans until 'start'")
-        if self._heard is None or self._host.clock.now_ns() - self._heard > _SILENT_NS:
+        heard = self._heard
+        if heard is None or not 0 <= self._host.clock.now_ns() - heard <= _SILENT_NS:
             troubles = [each.trouble for each in self._connected if each.trouble]
             ends = [self._section.scan, f"{self._section.prefix}/laser:i"]
             where = " or ".join(ends[not ends[0] :])

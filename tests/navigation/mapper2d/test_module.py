@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import MAP
+from navigation.mapper2d.module import _Scan
+from navigation.scan import of_yarp
 from tests.modules.place import Place
 from tests.support.wait import until
 from yarp_compat.dev.laserscan import LaserScan2D
@@ -41,6 +43,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         server.close()
 
 
+def status_of(place: Place) -> dict[str, Any]:
+    """Its status; a module that is busy may not answer at once."""
+    return until(lambda: place.status("mapper2d"), "it answers") or {}
+
+
 def asked(place: Place, *words: Any) -> Any:
     with Client("/mapper2D/rpc", naming=place.names) as client:
         return client.ask(list(words))
@@ -60,7 +67,7 @@ def scans(place: Place) -> None:
                 scan = {"angle_min": -math.pi, "angle_increment": math.tau / BEAMS, "ranges": [RADIUS] * BEAMS}
                 header = {"stamp": stamp, "frame_id": "laser"}
                 place.far.publish(out, {**scan, "header": header, "range_min": 0.1, "range_max": 20.0})
-        return bool((place.status("mapper2d") or {}).get("scans", 0) > 3)
+        return status_of(place)["scans"] > 3
 
     until(mapped, "scans are mapped", 30)
 
@@ -106,7 +113,7 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
-    assert "not on the map's picture" in str(place.status("mapper2d"))
+    assert "not on the map's picture" in str(status_of(place))
 
 
 def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
@@ -118,11 +125,11 @@ def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
             envelope = f"1 {time.time():.9f}"
             base.write(OdometryData(1.0, 2.0, 30.0), envelope=envelope)
             laser.write(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), envelope=envelope)
-            return bool((place.status("mapper2d") or {}).get("scans", 0) > 3)
+            return status_of(place)["scans"] > 3
 
         until(mapped, "scans are mapped", 30)
     assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
-    assert (place.status("mapper2d") or {})["scans"] > 3
+    assert status_of(place)["scans"] > 3
     assert asked(place, "save_to_mapserver") == ["Map map saved into the store."]
     grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
@@ -147,7 +154,7 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
     assert list(Path(place.folder).rglob("flat.map"))
     asked(place, "clear")
     assert asked(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
-    assert (place.status("mapper2d") or {})["size"] == pytest.approx([10.0, 10.0])
+    assert status_of(place)["size"] == pytest.approx([10.0, 10.0])
     assert asked(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
     assert asked(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
     assert asked(place, "load_from_mapserver", "none") == ["fail", "there is no map 'none' in the store"]
@@ -201,7 +208,7 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
                 place.far.publish(scan, {"header": {"stamp": stamp, "frame_id": "laser"}, **beams})
                 moved = (moved + 0.1) % 1.0
                 time.sleep(0.01)  # between two poses of different times
-            return bool((place.status("mapper2d") or {}).get("scans", 0) > 10)
+            return status_of(place)["scans"] > 10
 
         until(mapped, "scans are mapped", 30)
 
@@ -218,3 +225,28 @@ def transform(parent: str, child: str, x: float, stamp: dict[str, int]) -> dict[
     """A frame straight ahead of another."""
     place = {"translation": {"x": x}, "rotation": {"w": 1.0}}
     return {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": place}
+
+
+def test_a_clock_that_is_set_back_makes_no_old_scan_new(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert asked(place, "start") == ["Mapping."]
+    module: Any = place.worker._running["mapper2d"]._module
+    host, now = module._host, [time.time_ns()]
+    monkeypatch.setattr(host.clock, "now_ns", lambda: now[0])
+    turn = of_yarp(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), now[0] + 1_000_000_000)
+
+    def take() -> int:
+        module._take(_Scan(now[0], "", turn))
+        return len(module._waiting)
+
+    assert host.loop.call(take), "no pose is known of its time"
+    assert "no scan is heard" not in module.health().text
+    now[0] -= 10_000_000_000
+    host.loop.call(module._work)
+    assert not module._waiting, "it waits no longer than another"
+    assert "no scan is heard" in module.health().text
+    assert host.loop.call(take)
+    for jumped in tuple(host.clock._jumped):
+        jumped()
+    host.loop.call(lambda: None)
+    assert not module._waiting
+    assert "no scan is heard" in module.health().text
