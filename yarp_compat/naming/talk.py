@@ -12,6 +12,7 @@ from typing import Any
 from yarp_compat.naming.errors import PortError
 from yarp_compat.naming.lines import LineSocket
 from yarp_compat.wire.contact import Contact
+from yarp_compat.wire.errors import WireError
 from yarp_compat.wire.text import from_text, to_text
 
 TIMEOUT = 5.0
@@ -36,7 +37,11 @@ def ask(contact: Contact, command: Sequence[Any], *, admin: bool = False, timeou
 def admin(contact: Contact, command: Sequence[Any], timeout: float = TIMEOUT) -> list[Any]:
     """Send an administrative command and return the values of its answer; errors as `ask`."""
     lines = ask(contact, command, admin=True, timeout=timeout)
-    return from_text(lines[0]) if lines else []
+    try:
+        return from_text(lines[0]) if lines else []
+    except WireError as err:
+        msg = f"what {contact.name or 'the port'} answers at {contact.uri} is no Bottle: {err}"
+        raise PortError(msg) from None
 
 
 def raw(contact: Contact, sender: str, text: str, timeout: float = TIMEOUT) -> list[str]:

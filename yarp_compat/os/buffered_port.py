@@ -13,6 +13,7 @@ from yarp_compat.os.contactable import Contactable
 from yarp_compat.os.inbox import Inbox
 from yarp_compat.os.port import answer
 from yarp_compat.ports.message import Message
+from yarp_compat.ports.port import PortCore
 from yarp_compat.wire.errors import WireError
 
 log = logging.getLogger("yarp.os.BufferedPort")
@@ -169,6 +170,9 @@ class BufferedPort(Contactable, TypedReaderCallback):
     def disableCallback(self) -> None:
         """Call nobody any more: messages wait for `read`."""
         self._callback = None
+        self._stop_callback()
+
+    def _stop_callback(self) -> None:
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.stop(self._inbox.wake)
@@ -200,7 +204,11 @@ class BufferedPort(Contactable, TypedReaderCallback):
 
     def _ending(self) -> None:
         self._inbox.close()
-        self.disableCallback()
+        self._stop_callback()
+
+    def _ended(self, core: PortCore) -> None:
+        super()._ended(core)
+        self._callback = None
 
     def _take(self, message: Message) -> None:
         if message.wants_reply and self._replier is not None:

@@ -128,6 +128,7 @@ class Contactable:
         except (NamingError, OSError) as err:
             log.error("Port %s failed to activate (%s)", name or "without a name", err)
             self._core = None
+            self._ending()
             return False
         # A port that the program lets go of is closed, as in C++.
         self._finalizer = weakref.finalize(self, core.close)

@@ -6,9 +6,12 @@ import errno
 import os
 import socket
 
+_BACKLOG = 1024
+"""Connections that wait to be accepted."""
 
-def bound(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> socket.socket:
-    """A socket bound to an address and number; not listening yet.
+
+def listening(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> socket.socket:
+    """A socket that listens at an address and number.
 
     Args:
         host: the address.
@@ -21,19 +24,23 @@ def bound(host: str, number: int, *, host_fixed: bool, number_fixed: bool) -> so
         OSError: it cannot be had.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return _at(family, host, number)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE and not number_fixed:
+            return _at(family, host, 0)
+        if error.errno == errno.EADDRNOTAVAIL and not host_fixed:
+            return _at(family, "", number)
+        raise
+
+
+def _at(family: int, host: str, number: int) -> socket.socket:
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         if os.name == "posix":  # elsewhere this would let two programs listen on one number
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            sock.bind((host, number))
-        except OSError as error:
-            if error.errno == errno.EADDRINUSE and not number_fixed:
-                sock.bind((host, 0))
-            elif error.errno == errno.EADDRNOTAVAIL and not host_fixed:
-                sock.bind(("", number))
-            else:
-                raise
+        sock.bind((host, number))
+        sock.listen(_BACKLOG)  # here two of those that share a number are told apart
     except BaseException:
         sock.close()
         raise

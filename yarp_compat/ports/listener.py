@@ -33,7 +33,7 @@ class Listener:
 
     Args:
         loop: the shared thread.
-        sock: bound, not yet listening.
+        sock: listening.
         opened: takes a connection with its introduction, what came behind that, and the peer's address. Called on the
             shared thread.
         refused: told of a connection that introduced itself wrongly, with the peer's address.
@@ -46,7 +46,6 @@ class Listener:
         self._refused = refused
         self._silent: dict[socket.socket, _Introduction] = {}
         self._closed = False
-        sock.listen(1024)
         sock.setblocking(False)
         loop.call(lambda: loop.watch(sock, selectors.EVENT_READ, self._accept))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from yarp_compat.naming.naming import Naming
 from yarp_compat.ports import accepting, admin, closing, commands, connecting, loop, process
-from yarp_compat.ports.address import bound
+from yarp_compat.ports.address import listening
 from yarp_compat.ports.connections import AnyOutput, Connections, OnEvent
 from yarp_compat.ports.counters import Counters
 from yarp_compat.ports.inputs import Input
@@ -101,12 +101,15 @@ class PortCore:
         self._closed.wait()
         with self._life:
             contact = self.naming.register(self.name, self._host or "", self._number)
+            sock: socket.socket | None = None
             try:
                 host = self._host or contact.host
-                sock = bound(host, contact.port, host_fixed=bool(self._host), number_fixed=bool(self._number))
+                sock = listening(host, contact.port, host_fixed=bool(self._host), number_fixed=bool(self._number))
                 if (found := sock.getsockname()[1]) != contact.port:
                     contact = self.naming.register(contact.name, contact.host, found)
             except BaseException:
+                if sock is not None:
+                    sock.close()
                 self.naming.unregister(contact.name)
                 raise
             self.contact, self.name = contact, contact.name
@@ -374,12 +377,8 @@ class PortCore:
         try:
             words = decode(payload, connection.profile)
         except WireError as error:
-            _log.info(
-                "port %s: %s sends an administrative command that is none: %s",
-                self.name,
-                connection.route.source,
-                error,
-            )
+            told = "port %s: %s sends an administrative command that is none: %s"
+            _log.info(told, self.name, connection.route.source, error)
             words = []
         return encode(admin.answer(self, words), connection.profile or self.profile)
 

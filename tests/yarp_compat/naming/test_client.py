@@ -14,7 +14,7 @@ import pytest
 from tests.support.ports import free_port
 from tests.yarp_compat.naming.scripted import Scripted
 from tests.yarp_compat.transcripts import Talk, read
-from yarp_compat.naming import connections
+from yarp_compat.naming import connections, talk
 from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.config import Address
 from yarp_compat.naming.errors import ConfigError, NameRefusedError, NamingError, NoNameServerError, PortError
@@ -187,3 +187,11 @@ def test_what_is_no_port(greeting: bytes) -> None:
     problem = "no YARP port: it says 'HTTP" if greeting else "closed before"
     with Scripted([(2, greeting)]) as other, pytest.raises(PortError, match=problem):
         connections.ping(client(1), f"tcp://127.0.0.1:{other.port}/p")
+
+
+def test_a_port_that_answers_what_is_no_bottle() -> None:
+    with (
+        Scripted([(3, b"Welcome admin\r\n" + b"(" * 200 + b"\r\n<ACK>\r\n")]) as peer,
+        pytest.raises(PortError, match="no Bottle"),
+    ):
+        talk.admin(Contact("/odd", "127.0.0.1", peer.port), ["list"], 20.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -74,7 +75,7 @@ def test_what_waits_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         time.sleep(0.05)
         assert len(sent) < 20  # the writer waits for the reader
         assert [reader.read().get(0).asInt32() for _ in range(100)] == list(range(100))
-        done.result(5)
+        done.result(20)
 
 
 def test_a_prepared_object_is_used_again_and_can_be_given_back() -> None:
@@ -126,6 +127,23 @@ def test_a_port_can_be_its_own_callback() -> None:
     until(lambda: got == [4], "the callback")
 
 
+def test_a_port_that_cannot_be_opened_calls_back_once_it_can() -> None:
+    """No thread is left of the times before."""
+    got: list[int] = []
+    reader, writer = yarp.BufferedPortBottle(), yarp.BufferedPortBottle()
+    reader.useCallback(lambda bottle: got.append(bottle.get(0).asInt32()))
+    before = set(threading.enumerate())
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        for _ in range(3):
+            assert not reader.open(yarp.Contact("/r", "tcp", "127.0.0.1", taken.getsockname()[1]))
+    assert set(threading.enumerate()) <= before
+    assert reader.open("/r")
+    assert writer.open("/w")
+    assert writer.addOutput("/r")
+    send(writer, 5)
+    until(lambda: got == [5], "the callback")
+
+
 def test_a_callback_may_fail_and_close(caplog: pytest.LogCaptureFixture) -> None:
     reader, writer = connected()
     reader.setStrict()
@@ -157,7 +175,7 @@ def test_callbacks_hold_a_lock() -> None:
     assert got == []
     reader.unlockCallback()
     until(lambda: got == [1], "the callback")
-    assert reader.tryLockCallback()
+    until(reader.tryLockCallback, "its end")
     reader.unlockCallback()
 
 
@@ -168,7 +186,7 @@ def test_waiting_ends(end: str) -> None:
     thread = threading.Thread(target=lambda: results.append(reader.read()))
     thread.start()
     getattr(reader, end)()
-    thread.join(5)
+    thread.join(20)
     assert results == [None]
 
 

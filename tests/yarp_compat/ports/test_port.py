@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
 
+from tests.support.ports import free_port
 from tests.support.wait import until
 from tests.yarp_compat.ports.conftest import MakePort
 from yarp_compat.ports import connections
@@ -396,6 +399,33 @@ def test_text_in_either_dialect(make_port: MakePort, carrier: str, profile: Prof
     writer.write(encode([Float32(1.5), Float32(2.5)], profile), strict=True)
     until(lambda: got, "the message")
     assert got == [encode([1.5, 2.5], profile)]
+
+
+def test_a_port_whose_number_another_begins_to_listen_on_leaves_nothing(
+    naming: LocalNaming, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two may be bound to it until one listens. A number that is its own to choose is another one then."""
+    before = set(threading.enumerate())
+    listen, taken = socket.socket.listen, list[int]()
+
+    def taken_once(sock: socket.socket, *args: int) -> None:
+        if not taken:
+            taken.append(sock.fileno())
+            raise OSError(errno.EADDRINUSE, "in use")
+        listen(sock, *args)
+
+    monkeypatch.setattr(socket.socket, "listen", taken_once, raising=False)
+    port = PortCore("/p", naming=naming, number=free_port())
+    with pytest.raises(OSError, match="in use"):
+        port.open()
+    assert not port.is_open
+    assert naming.query("/p") is None
+    assert set(threading.enumerate()) <= before
+    taken.clear()
+    port = PortCore("/p", naming=naming)
+    port.open()
+    assert port.is_open
+    port.close()
 
 
 def test_a_port_that_cannot_be_announced_is_not_open(naming: LocalNaming, monkeypatch: pytest.MonkeyPatch) -> None:
