@@ -44,7 +44,7 @@ def test_iteration_ends_with_the_port(naming: LocalNaming) -> None:
     thread = threading.Thread(target=lambda: seen.extend(reader))
     thread.start()
     reader.close()
-    thread.join(5)
+    thread.join(20)
     assert not thread.is_alive()
     assert seen == []
 
@@ -76,8 +76,26 @@ def test_a_reader_may_answer(naming: LocalNaming) -> None:
         while second is None:  # reading on without an answer gives an empty one
             second = reader.read_now()
         second.reply(["two"])
-        thread.join(5)
+        thread.join(20)
         assert answers == [[], ["two"]]
+
+
+def test_a_reader_that_closes_gives_no_empty_answer(naming: LocalNaming) -> None:
+    reader, failed = Reader("/r", naming=naming).open(), list[Exception]()
+    with Client("/r", naming=naming) as client:
+
+        def ask() -> None:
+            try:
+                client.ask(["?"])
+            except ConnectionError as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        assert reader.read() is not None
+        reader.close()
+        thread.join(20)
+    assert failed
 
 
 def test_what_fails_is_raised(naming: LocalNaming) -> None:

@@ -44,7 +44,7 @@ def test_a_port_writes_what_another_reads(pool: ThreadPoolExecutor) -> None:
     got = yarp.Bottle()
     assert reader.read(got)
     assert got.toString() == "hello 1 2.5 (a b)"
-    assert sent.result(5)
+    assert sent.result(20)
     assert (writer.getOutputCount(), reader.getInputCount(), reader.getOutputCount()) == (1, 1, 0)
 
 
@@ -55,7 +55,7 @@ def test_a_writer_waits_until_its_message_is_read(pool: ThreadPoolExecutor) -> N
     assert not sent.done()
     got = yarp.Bottle()
     assert reader.read(got)
-    assert sent.result(5)
+    assert sent.result(20)
 
 
 def test_a_background_writer_waits_for_nobody() -> None:
@@ -84,7 +84,7 @@ def test_every_kind_of_data_crosses(pool: ThreadPoolExecutor) -> None:
         done = pool.submit(writer.write, sent)
         assert reader.read(empty)
         assert empty.to_bytes() == sent.to_bytes()
-        assert done.result(5)
+        assert done.result(20)
 
 
 @pytest.mark.parametrize("is_read", [False, True])
@@ -110,7 +110,7 @@ def test_a_message_of_another_kind_is_not_read(pool: ThreadPoolExecutor) -> None
     vector = yarp.Vector([7.0])
     assert not reader.read(vector)
     assert vector.get(0) == 7.0
-    assert done.result(5)
+    assert done.result(20)
 
 
 def test_envelopes(pool: ThreadPoolExecutor) -> None:
@@ -122,7 +122,7 @@ def test_envelopes(pool: ThreadPoolExecutor) -> None:
         assert reader.read(yarp.Bottle())
         assert reader.getEnvelope(got)
         assert (got.getCount(), got.getTime()) == (12, 1795143618.25)
-        assert done.result(5)
+        assert done.result(20)
     assert not opened().getEnvelope(got)
 
 
@@ -134,7 +134,7 @@ def test_questions_have_answers(pool: ThreadPoolExecutor) -> None:
     command = yarp.Bottle()
     assert server.read(command, True)
     assert server.reply(yarp.Bottle([command.get(1).asInt32() + command.get(2).asInt32()]))
-    assert asked.result(5)
+    assert asked.result(20)
     assert answer.get(0).asInt32() == 5
     assert not server.reply(answer)  # nobody asked again
 
@@ -148,7 +148,7 @@ def test_a_promised_answer_that_does_not_come_is_empty(pool: ThreadPoolExecutor)
     assert server.read(command, True)
     assert server.read(command, True)
     assert server.reply(yarp.Bottle("second"))
-    assert asked.result(5) == [True, True]
+    assert asked.result(20) == [True, True]
     assert [answer.toString() for answer in answers] == ["", "second"]
 
 
@@ -172,7 +172,7 @@ def test_an_answer_may_end_the_connection(pool: ThreadPoolExecutor) -> None:
     asked = pool.submit(client.write, yarp.Bottle("bye"), answer)
     assert server.read(yarp.Bottle(), True)
     assert server.replyAndDrop(yarp.Bottle("ok"))
-    assert asked.result(5)
+    assert asked.result(20)
     assert answer.toString() == "ok"
     until(lambda: server.getInputCount() == 0, "the connection to end")
 
@@ -241,7 +241,7 @@ def test_interrupting_lets_readers_go() -> None:
     thread = threading.Thread(target=lambda: results.append(reader.read(yarp.Bottle())))
     thread.start()
     reader.interrupt()
-    thread.join(5)
+    thread.join(20)
     assert results == [False]
     assert not reader.read(yarp.Bottle())
     assert not reader.write(yarp.Bottle())
@@ -254,7 +254,7 @@ def test_closing_lets_readers_and_writers_go(pool: ThreadPoolExecutor) -> None:
     waiting = pool.submit(writer.write, yarp.Bottle("x"))
     until(writer.isWriting, "the message to be on its way")
     reader.close()
-    waiting.result(5)
+    waiting.result(20)
     assert not reader.read(yarp.Bottle())
     assert not reader.isOpen()
     assert reader.getName() == ""
