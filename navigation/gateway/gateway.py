@@ -28,6 +28,9 @@ SETTLING_SECONDS = 5.0
 CANCEL_SECONDS = 5.0
 """After so long without an answer to a cancellation the client is told that it ended."""
 
+LETTING_GO_SECONDS = 30.0
+"""For so long another planner waits for one that does not let go of a goal that ended here, and is asked to."""
+
 _LOOK_SECONDS = 0.1
 _BETWEEN_MAPS = "robot_path_planner"
 """The planner that drives to other maps, through links: there the goal's frame is the map's name."""
@@ -59,6 +62,7 @@ class Gateway:
         self._last = Standing(State.IDLE)
         self._said: tuple[Any, ...] = ()
         self._pause: Timer | None = None
+        self._held_since: float | None = None
         self.link = Link(host, section, self.planner, self._changed)
         host.loop.every(_LOOK_SECONDS, self._look)
 
@@ -165,8 +169,8 @@ class Gateway:
             self._changed()
         return f"the goals that {self.planner} was given itself are canceled" if others else "there was no goal"
 
-    def choose(self, planner: str) -> None:
-        """Have another planner drive.
+    def choose(self, planner: str) -> str:
+        """Have another planner drive; what it waits for, in words.
 
         Raises:
             RefusedError: there is none of the name, or it is driving.
@@ -176,8 +180,10 @@ class Gateway:
         if planner != self.planner and self.driving:
             raise RefusedError(f"{self.planner} is driving; stop it first")
         self._chosen = planner
-        if planner != self.planner:
-            self._link_to(planner)
+        self._next = self._next or self._section
+        self._settle()
+        self._changed()
+        return f"once {self.planner} has let go of its goal" if self.pending else ""
 
     def configure(self, section: NavigationSection) -> None:
         """Take up another section; at the end of the drive where there is one.
@@ -386,19 +392,32 @@ class Gateway:
         return self._chosen if self._chosen in section.choices else section.planner
 
     def _settle(self) -> None:
-        """Take up a section that waited for the end of a drive."""
+        """Take up a section that waited for the end of a drive, and for the planner to let go."""
         section = self._next
         if section is None:
             return
         planner = self._wanted(section)
         same = planner == self.planner and section.others == self._section.others
-        if self.driving and not same:
+        if not same and (self.driving or self._holds_on()):
             return
         self._section, self._next = section, None
         if not same:
             self._link_to(planner)
 
+    def _holds_on(self) -> bool:
+        """Whether the planner still drives to a goal that ended here: without the link nobody would ask it to stop."""
+        if not self.link.holds_on:
+            self._held_since = None
+            return False
+        now = time.monotonic()
+        if self._held_since is None:
+            self._held_since = now
+        return now < self._held_since + LETTING_GO_SECONDS
+
     def _link_to(self, planner: str) -> None:
+        if self._held_since is not None:
+            self._host.log.warning("%s has not let go of its goal for %g s", self.planner, LETTING_GO_SECONDS)
+            self._held_since = None
         self.link.close()
         self.planner = planner
         self.link = Link(self._host, self._section, planner, self._changed)

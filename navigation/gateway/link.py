@@ -91,6 +91,14 @@ class Link:
         listed = self._listed if self.ready else {}
         return [one for one, status in listed.items() if not status.terminal and one not in self._mine]
 
+    @property
+    def holds_on(self) -> bool:
+        """Whether it is there, and has not said that all goals have ended that it was given here."""
+        if not self.ready:
+            return False
+        listed = any(not self._listed[one].terminal for one in self._orphans if one in self._listed)
+        return listed or any(sent.active for sent in self._mine.values())
+
     def told(self, goal_id: bytes) -> tuple[State, str] | None:
         """The state and the reason that it tells of a goal; None where it tells none."""
         own = self._own

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from bridge.stores.kinds import AREA, LOCATION, MAP
+from navigation.gateway import gateway
 from navigation.status import State
 from tests.navigation.gateway.rig import Asked, Rig, pose
 from tests.support.faults import FaultProxy
@@ -277,6 +278,28 @@ def test_the_planner_changes_while_standing_and_not_while_driving(rig: Rig) -> N
     assert rig.gateway.planner == "robot_path_planner", "the file's line changed"
     rig.worker.reload(rig.configured(planner="robot_goto"))
     until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one drives again", 20)
+
+
+def test_another_planner_waits_for_one_that_does_not_let_go(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gateway, "CANCEL_SECONDS", 0.1)
+    monkeypatch.setattr(rig.planner.server, "_cancel", lambda _goal: True)  # and drives on
+    for let_go in (True, False):
+        asked = Asked(rig.client, pose(1.0))
+        goal = rig.planner.until(1 if let_go else 2)
+        asked.cancel()
+        assert "robot_goto has not answered" in asked.end()[1]
+        rig.worker.reload(rig.configured(planner="mine"))
+        loop = rig.worker._running["gateway"]._host.loop
+        loop.call(rig.gateway._look)
+        assert (rig.gateway.planner, rig.gateway.pending) == ("robot_goto", "mine")
+        if let_go:
+            rig.planner.on(goal.canceled)
+        else:
+            monkeypatch.setattr(gateway, "LETTING_GO_SECONDS", 0.0)
+        until(lambda: rig.gateway.planner == "mine", "another one drives", 20)
+        rig.worker.reload(rig.configured(planner="robot_goto"))
+        until(lambda: rig.gateway.planner == "robot_goto" and rig.gateway.link.ready, "the first one again", 20)
+    rig.planner.on(goal.canceled)
 
 
 def test_a_published_goal_and_places_by_name(rig: Rig) -> None:
