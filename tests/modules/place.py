@@ -44,6 +44,12 @@ class Place:
         answers = self.far.hub.ask("status", {}, worker=name)
         return next((a.value for a in answers if isinstance(a.value, dict)), None)
 
+    def answer(self, name: str) -> dict[str, Any]:
+        """The status of a module that runs; one that is busy may not answer at once."""
+        found = until(lambda: self.status(name), f"{name} answers")
+        assert found is not None
+        return found
+
     def hears(self, said: str, heard: int, text: str) -> None:
         """Say something on ``/heard`` until the answer is there."""
         out = self.far.advertise("/heard", STRING)

@@ -66,7 +66,7 @@ def test_its_ports_open_when_a_name_server_comes(place: Place) -> None:
     until(lambda: "waiting" in str(place.status("echo")), "it tells that its ports wait")
     with NameServer(port=place.port, gc_seconds=0):
         until(lambda: connections.exists(place.names, "/echo/said:o"), "the port is registered")
-        until(lambda: "waiting" not in str((place.status("echo") or {}).get("ports")), "all are open")
+        until(lambda: "waiting" not in str(place.answer("echo")["ports"]), "all are open")
         with Client("/echo/rpc", naming=place.names) as client:
             assert client.ask(["hello", 4], timeout=40) == ["said", "hello", 4]
         with (
@@ -121,9 +121,7 @@ def test_one_that_cannot_say_how_it_is_ends_no_other(
     assert health.state == "running"
     assert "echo: waiting it cannot say how it is: IndexError" in health.text
     assert "other: heard 0" in health.text
-    status = until(lambda: place.status("echo"), "its status")
-    assert status is not None
-    assert "IndexError" in status["text"]
+    assert "IndexError" in place.answer("echo")["text"]
     assert caplog.text.count("echo cannot say how it is") == 1
 
 
@@ -131,12 +129,10 @@ def test_reload_touches_what_changed_alone(place: Place) -> None:
     heard = place.far.subscribe("/said", STRING)
     place.worker.start(place.config(echo(), echo("other")))
     place.hears("a", heard, "a")
-    before = place.status("echo")
+    before = place.answer("echo")
     assert place.worker.reload(place.config(echo(prefix="new "), echo("third")))
     place.hears("b", heard, "new b")
-    after = place.status("echo")
-    assert before is not None
-    assert after is not None
+    after = place.answer("echo")
     assert after["zid"] == before["zid"], "it took up its section while it ran"
     until(lambda: place.status("third"), "the new one runs")
     assert place.status("other") is None

@@ -149,11 +149,15 @@ def test_a_gamepad_drives_while_its_button_is_held(place: Place, wheels: Wheels)
 
 def test_halt_forgets_commands(place: Place, wheels: Wheels) -> None:
     started(place, inputs=[{"name": "long", "timeout": 5.0, "twist": ["/cmd_vel"]}])
+    module: Any = place.worker._running["base_control"]._module
+    module.base.inputs["long"].timeout = 60.0  # longer than the test waits
     out = place.far.advertise("/cmd_vel", TWIST)
     until(lambda: (place.far.publish(out, twist(0.2, 0.0)), drives(wheels, 0.2, 0.0)())[1], "it drives", 20)
-    answers = place.far.hub.ask("halt", {}, worker="base_control")
+    place.far.publish(out, twist(0.1, 0.0))
+    until(drives(wheels, 0.1, 0.0), "the last command is there: none comes after the halt", 20)
+    answers = place.far.hub.ask("halt", {}, worker="base_control", timeout=20.0)
     assert [answer.value for answer in answers] == [{"halted": True}]
-    until(drives(wheels, 0.0, 0.0), "it stands", 4)
+    until(drives(wheels, 0.0, 0.0), "it stands", 40)
 
 
 def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> None:
@@ -161,7 +165,7 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
     names = place.names
     with NameServer(port=place.port, gc_seconds=0):
         until(lambda: names.query("/baseControl/rpc"), "the ports are there", 20)
-        until(lambda: "waiting" not in str((place.status("base_control") or {}).get("ports")), "all are open", 20)
+        until(lambda: "waiting" not in str(place.answer("base_control")["ports"]), "all are open", 20)
         with MobileBaseVelocityControl("/baseControl/input/command/rpc:i", naming=names) as base:
             until(lambda: (base.drive(0.1, 0.0, 90.0), drives(wheels, 0.1, math.radians(30.0))())[1], "by RPC", 20)
 
@@ -210,11 +214,11 @@ def test_its_yarp_ports_of_both_generations(place: Place, wheels: Wheels) -> Non
 
 
 def base_stale(place: Place) -> int:
-    return int((place.status("base_control") or {}).get("stale", 0))
+    return int(place.answer("base_control")["stale"])
 
 
 def base_input(place: Place) -> str:
-    return str((place.status("base_control") or {}).get("input"))
+    return str(place.answer("base_control")["input"])
 
 
 def test_a_link_that_is_cut_stops_it_and_one_that_is_mended_brings_nothing_old(place: Place, wheels: Wheels) -> None:

@@ -126,7 +126,8 @@ def test_a_suspension_ends_by_itself_and_a_path_is_found_anew(rig: Rig, yarp: IN
     rig.planner.until(3)
     rig.state(State.MOVING)
     assert yarp.stop_navigation_RPC()
-    assert yarp.get_navigation_status_RPC()[1] is NavigationStatusEnum.navigation_status_idle
+    idle = NavigationStatusEnum.navigation_status_idle
+    until(lambda: yarp.get_navigation_status_RPC()[1] is idle, "it stands", 20)
     assert not yarp.recompute_current_navigation_path_RPC()
     assert not yarp.resume_navigation_RPC()
 
@@ -137,7 +138,9 @@ def test_what_is_suspended_for_a_time_does_not_go_on_after_a_halt(rig: Rig, yarp
     assert yarp.suspend_navigation_RPC(60.0)
     until(lambda: not goal.active, "the planner stopped", 20)
     rig.state(State.PAUSED)
-    assert [answer.value for answer in rig.far.hub.ask("halt", {}, worker="gateway")] == [{"halted": True}]
+    assert [answer.value for answer in rig.far.hub.ask("halt", {}, worker="gateway", timeout=20.0)] == [
+        {"halted": True}
+    ]
     rig.state(State.IDLE, "it was stopped")
     assert rig.gateway._pause is None
     assert not yarp.resume_navigation_RPC()
@@ -178,14 +181,19 @@ def test_velocities_are_commanded_while_nothing_drives(rig: Rig, yarp: INavigati
         "/cmd_vel", "geometry_msgs/msg/Twist", lambda m: told.append((m["linear"]["x"], m["angular"]["z"]))
     )
     until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 0.2) and told, "a velocity is heard", 20)
-    assert told[0] == (0.2, pytest.approx(math.pi / 2))
+    assert (0.2, pytest.approx(math.pi / 2)) in told
     until(lambda: told[-1] == (0.0, 0.0), "its time is over", 20)
     until(lambda: not yarp.get_last_velocity_command_RPC()[0], "nothing is commanded", 20)
-    assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
+    until(lambda: yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0), "it is commanded", 20)
     assert rig.ask("stop")["success"]
     assert not yarp.get_last_velocity_command_RPC()[0]
-    assert yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
-    assert yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
+
+    def commanded() -> bool:
+        """While it is: a slow machine may ask once its time is over."""
+        taken = yarp.apply_velocity_command_RPC(0.2, 0.0, 90.0, 1.0)
+        return bool(taken) and yarp.get_last_velocity_command_RPC()[1:] == (0.2, 0.0, 90.0)
+
+    until(commanded, "what is commanded is told", 20)
     assert yarp.goto_target_by_absolute_location_RPC(Map2DLocation("house", 3.0, 1.0, 0.0))
     rig.planner.until(1)
     rig.state(State.MOVING)

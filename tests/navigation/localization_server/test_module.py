@@ -65,8 +65,7 @@ def use(place: Place, name: str, robot: Robot) -> None:
 
 
 def said(place: Place) -> dict[str, Any]:
-    """Its status; a module that is busy may not answer at once."""
-    return until(lambda: place.status("localization_server"), "it answers") or {}
+    return place.answer("localization_server")
 
 
 def says(place: Place, status: str, reason: str = "") -> Callable[[], bool]:

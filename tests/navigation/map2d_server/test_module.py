@@ -160,8 +160,7 @@ def test_map_services(served: Served) -> None:
     assert far.call("/map_saver/save_map", "nav2_msgs/SaveMap", **save | {"map_topic": "/camera"}).result(20)[
         "reply"
     ] == {"result": False}
-    status = served.status("map2d_server")
-    assert status is not None
+    status = served.answer("map2d_server")
     assert status["refusals"] >= 9
     assert "/camera is none of the store's maps" in status["last_refusal"]
 

@@ -43,11 +43,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         server.close()
 
 
-def status_of(place: Place) -> dict[str, Any]:
-    """Its status; a module that is busy may not answer at once."""
-    return until(lambda: place.status("mapper2d"), "it answers") or {}
-
-
 def asked(place: Place, *words: Any) -> Any:
     with Client("/mapper2D/rpc", naming=place.names) as client:
         return client.ask(list(words))
@@ -67,7 +62,7 @@ def scans(place: Place) -> None:
                 scan = {"angle_min": -math.pi, "angle_increment": math.tau / BEAMS, "ranges": [RADIUS] * BEAMS}
                 header = {"stamp": stamp, "frame_id": "laser"}
                 place.far.publish(out, {**scan, "header": header, "range_min": 0.1, "range_max": 20.0})
-        return status_of(place)["scans"] > 3
+        return place.answer("mapper2d")["scans"] > 3
 
     until(mapped, "scans are mapped", 30)
 
@@ -113,7 +108,7 @@ def test_a_map_is_made_painted_and_saved(place: Place) -> None:
     column, row = grid.cells_at((middle[0], middle[1] - RADIUS))
     assert (grid.flags[row - 1 : row + 2, column] == MapFlag.WALL).any()
     assert (grid.flags[80, 70], grid.flags[20, 60], grid.flags[20, 100]) == (MapFlag.KEEP_OUT,) * 3
-    assert "not on the map's picture" in str(status_of(place))
+    assert "not on the map's picture" in str(place.answer("mapper2d"))
 
 
 def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
@@ -125,11 +120,11 @@ def test_laser_and_poses_of_yarp_are_connected(place: Place) -> None:
             envelope = f"1 {time.time():.9f}"
             base.write(OdometryData(1.0, 2.0, 30.0), envelope=envelope)
             laser.write(LaserScan2D(0.0, 360.0, 0.1, 20.0, Vector([RADIUS] * BEAMS), 1), envelope=envelope)
-            return status_of(place)["scans"] > 3
+            return place.answer("mapper2d")["scans"] > 3
 
         until(mapped, "scans are mapped", 30)
     assert asked(place, "stop") == ["Not mapping; 'start' goes on."]
-    assert status_of(place)["scans"] > 3
+    assert place.answer("mapper2d")["scans"] > 3
     assert asked(place, "save_to_mapserver") == ["Map map saved into the store."]
     grid = place.worker._running["mapper2d"]._host.store.get(MAP, "map")
     middle = 1.0 + 0.5 * math.cos(math.radians(30)), 2.0 + 0.5 * math.sin(math.radians(30))
@@ -154,7 +149,7 @@ def test_a_map_is_saved_to_a_file_and_loaded(place: Place) -> None:
     assert list(Path(place.folder).rglob("flat.map"))
     asked(place, "clear")
     assert asked(place, "load_from_file", "flat") == ["Map map loaded; mapping goes on on it."]
-    assert status_of(place)["size"] == pytest.approx([10.0, 10.0])
+    assert place.answer("mapper2d")["size"] == pytest.approx([10.0, 10.0])
     assert asked(place, "initLoc", "other", 0.0, 0.0, 90.0)[0].startswith("The robot is at 0, 0 m, 90 degrees")
     assert asked(place, "initLoc", "map", 1.0, 2.0, 30)[0].endswith("30 degrees on map.")
     assert asked(place, "load_from_mapserver", "none") == ["fail", "there is no map 'none' in the store"]
@@ -208,7 +203,7 @@ def test_poses_of_frames_and_of_topics(tmp_path: Path, by: str) -> None:
                 place.far.publish(scan, {"header": {"stamp": stamp, "frame_id": "laser"}, **beams})
                 moved = (moved + 0.1) % 1.0
                 time.sleep(0.01)  # between two poses of different times
-            return status_of(place)["scans"] > 10
+            return place.answer("mapper2d")["scans"] > 10
 
         until(mapped, "scans are mapped", 30)
 

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -251,10 +252,14 @@ def test_yarp_drives_it_and_hears_its_commands(place: Goto) -> None:
         connections.connect(names, place.registered("/robotGoto/control:o"), "/test/control")
         robot.loop.call(lambda: robot.stand(0.0, 0.0, math.pi / 2))
         until(lambda: (pose := place.module._pose_now()) and pose.theta > 1.5, "it has turned", 20)
+        driver = place.module.driver
+        slowly = replace(driver.settings, max_lin_speed=0.2)
+        place.module._host.loop.call(lambda: setattr(driver, "settings", slowly))  # it is to be suspended on its way
         assert client.remote.goto_target_by_relative_location1_RPC(1.0, 0.0), "a metre to its front, which is north"
         until(lambda: robot.y > 0.2, "it drives", 30)
         assert client.remote.suspend_navigation_RPC(0.0)
         assert client.remote.get_navigation_status_RPC()[1] is ok.navigation_status_paused
+        place.module._host.loop.call(place.module.reset)
         assert client.remote.resume_navigation_RPC()
         target = client.remote.get_absolute_location_of_current_target_RPC()[1]
         assert (target.x, target.y) == pytest.approx((0.0, 1.0), abs=0.05)
@@ -342,6 +347,6 @@ def test_a_step_that_fails_stops_the_robot_and_ends_the_goal(place: Goto, monkey
 def test_halt_ends_every_goal(place: Goto) -> None:
     sent = place.robot.send(2.0, 0.0)
     until(lambda: place.robot.x > 0.05, "it drives", 30)
-    assert place.far.hub.ask("halt", {}, worker="robot_goto")[0].value == {"halted": True}
+    assert place.far.hub.ask("halt", {}, worker="robot_goto", timeout=20.0)[0].value == {"halted": True}
     assert sent.end()[1]["error_msg"] == "halted"
     assert place.state == "idle"

@@ -119,8 +119,7 @@ class Planning(Served):
         until(lambda: self.told()["navigator"]["state"] == "idle", "the local navigator is there", 30)
 
     def told(self) -> dict[str, Any]:
-        """Its status; a module that is busy may not answer at once."""
-        return until(lambda: self.status("robot_path_planner"), "it answers") or {}
+        return self.answer("robot_path_planner")
 
     def close(self) -> None:
         self.robot.close()
@@ -332,7 +331,7 @@ def test_yarp_asks_clicks_and_sees(place: Planning) -> None:
 
         until(shown, "a picture comes", 20)
         assert (seen[0].width(), seen[0].height()) == (100, 100)
-    answer = place.far.hub.ask("picture", {}, worker="robot_path_planner")[0].value
+    answer = place.far.hub.ask("picture", {}, worker="robot_path_planner", timeout=20.0)[0].value
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(answer["png"]))).convert("RGB"))
     assert image.shape == (600, 600, 3)
     assert (image == (0, 0, 0)).all(axis=2).any()
@@ -447,7 +446,7 @@ def test_the_map_comes_by_a_topic_and_the_laser_shows_what_it_lacks(tmp_path: Pa
             maps.publish(to_grid(floor(*ROOMS)))
             section = {"enabled": True, "robot_radius": 0.2, "map": "/map", "prefix": "", "patience": 0.0}
             place.worker.start(place.config(modules={"robot_path_planner": section}))
-            until(lambda: (place.status("robot_path_planner") or {}).get("map") == "map", "the map has come", 30)
+            until(lambda: place.answer("robot_path_planner")["map"] == "map", "the map has come", 30)
             robot.speed, robot.y = 0.1, 2.3
             until(lambda: robot.client.ready, "the planner is there", 30)
             sent = robot.send(4.0, 2.3)
