@@ -37,8 +37,8 @@ class Message:
         payload: its bytes, this message's own. Text carriers: the line as a Bottle in the port's dialect.
         envelope: its envelope's text, or "".
         peer: the connection it came on.
-        wants_reply: the sender waits for a reply; one is always sent, an empty Bottle where the owner gives none, unless
-            the port closes first.
+        wants_reply: the sender waits for a reply; one is always sent, an empty Bottle where the owner gives none, but
+            where the port closes first.
         replied: the reply.
         is_plain: the reply is sent as it is on text carriers too.
         is_last: the connection ends behind the reply.
