@@ -64,7 +64,17 @@ class Flow:
         """Each way carries ten messages, none lost."""
         sent = [self.send() for _ in range(10)]
         for _, _, hearer, heard in self._ways:
-            until(lambda h=hearer, i=heard: {m["data"] for m in h.wait(i, 0, 0)} >= set(sent), "ten cross", 20)
+            came: list[str] = []
+
+            def all_came(hearer: Peer = hearer, heard: int = heard, came: list[str] = came) -> bool:
+                came[:] = [m["data"] for m in hearer.wait(heard, 0, 0)]
+                return set(came) >= set(sent)
+
+            try:
+                until(all_came, "ten cross", 20)
+            except AssertionError as err:
+                msg = f"of {sent} came {came[-20:]}"
+                raise AssertionError(msg) from err
 
 
 def pids(deployment: Deployment) -> set[int]:

@@ -67,7 +67,7 @@ def _frames() -> Subject:
     """A publisher's messages off a connection."""
     from bridge.adapters.ros1 import reader as module
 
-    module._KEEPALIVE = ()  # a socket pair is no TCP connection
+    module.keep_alive = lambda _sock: None  # type: ignore[assignment]  # a socket pair is no TCP connection
 
     def frame(size: int) -> bytes:
         return struct.pack("<I", size) + bytes(range(256)) * (size // 256) + bytes(size % 256)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import socket
-from typing import Any
+from typing import Any, cast
 
 from tests.fuzz.target import Subject, Target, texts
 from yarp_compat.ports import admin
 from yarp_compat.ports.commands import obey
 from yarp_compat.ports.inputs import BinaryInput, Input
 from yarp_compat.ports.lines import to_line
+from yarp_compat.ports.loop import Loop
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.naming import LocalNaming
 from yarp_compat.ports.pages import PageInput
@@ -63,8 +64,10 @@ def _echo(incoming: Message) -> None:
 
 
 def _port() -> PortCore:
-    """A port that does not listen, and can reach nobody."""
-    return PortCore("/fuzzed", on_message=_echo, naming=LocalNaming(), limit=_LIMIT, is_output=False)
+    """A port that is open for messages, but does not listen, and can reach nobody."""
+    port = PortCore("/fuzzed", on_message=_echo, naming=LocalNaming(), limit=_LIMIT, is_output=False)
+    port._loop = cast(Loop, object())
+    return port
 
 
 def _conversation(kind: type[Input], carrier: carriers.Carrier, seeds: list[bytes], words: list[bytes]) -> Subject:
