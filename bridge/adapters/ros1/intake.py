@@ -78,8 +78,7 @@ class Intake:
         while not self._stopped:
             for number, _ in self._epoll.poll(maxevents=_AT_ONCE):
                 source = self._sources.get(number)
-                then = source.take() if source is not None else None
-                if source is not None and then is not None:
+                if source is not None and (then := source.take()) is not None:
                     self._drop(number, source)
                     self._do(then)
         for source in self._sources.values():
