@@ -55,6 +55,8 @@ class BridgeWorker(Worker):
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
+        # Where its compiled form cannot be kept this takes seconds: not in the engine, at the first route.
+        importlib.import_module("bridge.messages.machine")
         config = _with_memory(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():

@@ -7,7 +7,13 @@ signal, suspended or starved) while messages piled up in its sockets, seen from 
 from __future__ import annotations
 
 import math
+import threading
 import time
+from collections.abc import Callable
+
+_BEAT = 0.1
+_LATE = 0.5
+_STOOD_STILL = 1.0
 
 
 def _now_ns() -> int:
@@ -20,20 +26,46 @@ def _now() -> float:
 
 
 class Pulse:
-    """Notices that this process stood still. `beat` is called about ten times a second by the engine's loop."""
+    """Notices that this process stood still.
 
-    def __init__(self) -> None:
+    Its thread does nothing else: one that also works is late by its work.
+
+    Args:
+        went_on: called on that thread with the seconds, when the process stood still for more than one and goes on.
+    """
+
+    def __init__(self, went_on: Callable[[float], None] = lambda _: None) -> None:
+        self._went_on = went_on
         self._last = _now()
         self._until = 0.0
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="midspan-pulse", daemon=True)
 
-    def beat(self) -> float:
-        """Mark that the process runs; the seconds since the last beat."""
+    def start(self) -> None:
+        """Begin to beat."""
+        self._last = _now()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Beat no more. Safe to call where it never began."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.wait(_BEAT):
+            self.beat()
+
+    def beat(self) -> None:
+        """Mark that the process runs."""
         now = _now()
-        since, self._last = now - self._last, now
-        if since > 0.5:
+        since = now - self._last
+        if since > _LATE:
             # What piled up while we stood still is still being read from sockets for a moment.
-            self._until = now + 0.5
-        return since
+            self._until = now + _LATE
+        self._last = now  # after that: who asks between the two must not take us for awake all the time
+        if since > _STOOD_STILL:
+            self._went_on(since)
 
     def stood_still(self, timeout: float) -> bool:
         """Whether a message that arrives now may have waited longer than ``timeout`` seconds in front of us."""

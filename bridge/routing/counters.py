@@ -53,13 +53,14 @@ class Counters:
             self.error_at = now
         return log
 
-    def tick(self) -> None:
-        """Take the rate since the last tick; called about once a second."""
+    def tick(self) -> float:
+        """Take the rate since the last tick, and give it; called about once a second."""
         now = time.monotonic()
         then, messages = self._mark
         if now - then >= 0.5:
             self._rate = (self.messages - messages) / (now - then)
             self._mark = (now, self.messages)
+        return self._rate
 
     @property
     def rate(self) -> float:

@@ -37,13 +37,11 @@ from bridge.routing.watch import Watch
 
 _log = logging.getLogger(__name__)
 
-_PULSE = 0.1
 _TICK = 1.0
 _LOOK = 10.0  # a look without being woken, should a change ever go untold
 _SHARE, _LONGEST = 1000, 60.0  # nor sooner than after so many times what the last one cost: 0.1 % of a core
 _RETRY = 2.0  # what was refused may work by now
 _SETTLE = 0.02
-_STOOD_STILL = 1.0
 _ENDS = {
     Kind.SUBSCRIPTION: ("topic", "nobody publishes it; {} would listen"),
     Kind.CLIENT: ("service", "nobody serves it; {} would call"),
@@ -107,9 +105,11 @@ class Engine:
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._lock = threading.Lock()
-        self._pulse = Pulse()
+        self._pulse = Pulse(edge.went_on)
         self._beat = time.monotonic()
         self._verdicts: list[Verdict] = []
+        self._refused = 0
+        self._rate = 0.0
         self._network: str | None = None
         self._types = TypeBook(hub, edge, self.graph_changed)
         small, bulk = (Dispatcher(f"midspan-{edge.side}-{size}") for size in ("small", "bulk"))
@@ -131,6 +131,7 @@ class Engine:
         self._joint.bulk.start()
         self._closers = [self.hub.graph.watch(self.graph_changed), self._types.serve()]
         self.edge.start(self)
+        self._pulse.start()
         self._watch.start()
         self._thread.start()
 
@@ -149,6 +150,7 @@ class Engine:
         for follower in (*self._services, self._inward, self._outward):
             follower.close()
         self._watch.stop()
+        self._pulse.stop()
         self.edge.stop()
 
     def reload(self, routing: RoutingSection) -> None:
@@ -180,10 +182,7 @@ class Engine:
     def _run(self) -> None:
         tick = look = 0.0
         while not self._stopping.is_set():
-            since = self._pulse.beat()
-            if since > _STOOD_STILL:
-                self.edge.went_on(since)
-            woken = self._wake.wait(_PULSE)
+            woken = self._wake.wait(max(0.0, min(tick, look) - time.monotonic()))
             now = time.monotonic()
             if woken or now >= look:
                 self._wake.clear()
@@ -195,13 +194,12 @@ class Engine:
                     self._on_failure(f"following the graphs failed: {err}")
                     return
                 cost = time.thread_time() - cost
-                pause = _RETRY if any(v.refused for v in self._verdicts) else max(_LOOK, min(_SHARE * cost, _LONGEST))
+                pause = _RETRY if self._refused else max(_LOOK, min(_SHARE * cost, _LONGEST))
                 look = now + pause
                 self._stopping.wait(_SETTLE)
             if now >= tick:
                 tick = now + _TICK
-                for route in self.routes():
-                    route.counters.tick()
+                self._rate = sum(route.counters.tick() for route in self.routes())
             self._beat = time.monotonic()
 
     def _reconcile(self) -> None:
@@ -219,6 +217,7 @@ class Engine:
             self._follow(rules, verdicts, outcome, network)
         with self._lock:
             self._verdicts = verdicts
+        self._refused = sum(1 for verdict in verdicts if verdict.refused)
 
     def _rest(self, verdicts: list[Verdict], why: str) -> None:
         """Have no routes."""
@@ -292,12 +291,9 @@ class Engine:
             return list(self._verdicts)
 
     def summary(self) -> Summary:
-        """How the engine is, in numbers."""
-        routes = self.routes()
-        refused = sum(1 for v in self.verdicts() if v.refused)
-        rate = sum(r.counters.rate for r in routes)
-        outcome = self._watch.outcome
-        return Summary(self._network, len(routes), refused, rate, outcome.standing_by, outcome.waiting)
+        """How the engine is, in numbers; cheap, whatever the number of routes."""
+        outcome, routes = self._watch.outcome, len(self.routes())
+        return Summary(self._network, routes, self._refused, self._rate, outcome.standing_by, outcome.waiting)
 
     def status(self) -> dict[str, Any]:
         """Routes, refusals and warnings as they stand in the status document."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import queue
 import time
 
 import pytest
@@ -156,6 +157,18 @@ def test_a_worker_that_stood_still_says_so(monkeypatch: pytest.MonkeyPatch) -> N
         clock.now += 0.1
         pulse.beat()
     assert not pulse.stood_still(0.5)
+
+
+def test_the_pulse_tells_of_a_standstill_once_the_process_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, told = Clock(monkeypatch), queue.SimpleQueue[float]()
+    pulse = age.Pulse(told.put)
+    pulse.start()
+    try:
+        clock.now += 20.0
+        assert told.get(timeout=40) == pytest.approx(20.0)
+        assert pulse.stood_still(0.5), "what piled up is still being read"
+    finally:
+        pulse.stop()
 
 
 def transforms(*children: str, x: float = 0.0) -> bytes:

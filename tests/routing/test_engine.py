@@ -1,0 +1,43 @@
+"""What an engine's loop does must not be felt by routes that are there already."""
+
+from __future__ import annotations
+
+import threading
+
+from bridge.adapters.base import Endpoint
+from bridge.config.sections.routing import RoutingSection
+from bridge.hub.session import Hub
+from bridge.messages.registry import Registry
+from bridge.routing.engine import Engine
+from tests.support.fake import FakeEdge, FakeNetwork
+from tests.support.hub import HubNetwork
+from tests.support.wait import until
+
+
+class SlowEdge(FakeEdge):
+    """Each look at its graph takes long, as where hundreds of routes are made in one go."""
+
+    def __init__(self, network: FakeNetwork, registry: Registry) -> None:
+        super().__init__(network, registry)
+        self.looked, self.go_on = threading.Event(), threading.Event()
+
+    def endpoints(self) -> list[Endpoint]:
+        self.looked.set()
+        self.go_on.wait()
+        return super().endpoints()
+
+
+def test_a_busy_loop_is_no_standstill() -> None:
+    """Commands that come while hundreds of routes are made would be taken for old ones, and dropped."""
+    with HubNetwork() as hubs, Hub.open(hubs.settings("busy")) as hub:
+        edge = SlowEdge(FakeNetwork(), Registry())
+        engine = Engine(edge, hub, RoutingSection(), "busy", lambda _: None)
+        engine.start()
+        try:
+            assert edge.looked.wait(40)
+            for _ in range(5):
+                before = engine._pulse._last
+                until(lambda before=before: engine._pulse._last > before, "the pulse beats")
+        finally:
+            edge.go_on.set()
+            engine.stop()
