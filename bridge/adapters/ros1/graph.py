@@ -11,6 +11,13 @@ from bridge.adapters.ros1.rpc import RpcClient
 
 _TRIES = 3
 
+_RATE = 200_000
+"""Bytes of its state that a master is asked for in a second. 500 topics make 250 kB, which take ``rosmaster`` 4 ms of
+Python: messages that have to wait for these are late, so they must be fewer than one in a hundred."""
+
+_LONGEST = 2.0
+"""Seconds between two looks at most, where the configuration does not ask for more."""
+
 PRESENCE = "/midspan/nodes"
 """Master parameter under which every Midspan node says that it is there."""
 
@@ -58,6 +65,7 @@ class Looker:
     def __init__(self, client: RpcClient, caller: str) -> None:
         self.caller = caller
         self._client = client
+        self._size = 0
         self._nodes: tuple[str, ...] = ()
         self._answers: list[Any] = []
         self._look: Look | None = None
@@ -67,6 +75,10 @@ class Looker:
     def doubt(self, service: str) -> None:
         """A service is not where the master said: the next look asks again. From any thread."""
         self._doubted.add(service)
+
+    def pause(self, period: float) -> float:
+        """Seconds to the next look, at least ``period``: a master with much to tell is asked less often."""
+        return max(period, min(self._size / _RATE, _LONGEST))
 
     def look(self) -> Look:
         """The master's state now; the very same object as the last time where nothing changed. Raises `Ros1Error`."""
@@ -107,11 +119,13 @@ class Looker:
 
     def _ask(self) -> list[Any]:
         me = self.caller
-        return self._client.calls([
+        answers = self._client.calls([
             ("getSystemState", (me,)), ("getTopicTypes", (me,)), ("getParam", (me, "/run_id")),
             ("getParam", (me, PRESENCE)), ("getPid", (me,)), ("getUri", (me,)),
             *(("lookupNode", (me, node)) for node in self._nodes),
         ])  # fmt: skip
+        self._size = self._client.size
+        return answers
 
 
 def _read(answers: list[Any], nodes: tuple[str, ...]) -> Look:

@@ -132,7 +132,7 @@ class Master:
 
     def _loop(self) -> None:
         while True:
-            self._wake.wait(_RETRY if self._failures == 1 else self._period)
+            self._wake.wait(_RETRY if self._failures == 1 else self._looker.pause(self._period))
             self._wake.clear()
             if self._stopping.is_set():
                 self._client.close()

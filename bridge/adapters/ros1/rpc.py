@@ -44,7 +44,11 @@ class _Connection(http.client.HTTPConnection):
 
 
 class RpcClient:
-    """A client of one XML-RPC server that keeps its connection. One thread at a time."""
+    """A client of one XML-RPC server that keeps its connection. One thread at a time.
+
+    Attributes:
+        size: bytes of the last answer.
+    """
 
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
@@ -62,6 +66,7 @@ class RpcClient:
         self._limit = limit
         self._asked: tuple[list[Call], str] = ([], "")
         self._last: tuple[bytes, bytes, Any] | None = None
+        self.size = 0
 
     def call(self, method: str, *params: Any) -> Any:
         """Call one method; the value of its answer. Raises `RefusedError` where the code is not 1."""
@@ -119,6 +124,7 @@ class RpcClient:
                 raise unanswered(what, err) from None
             msg = f"{what}: {str(err) or type(err).__name__}"
             raise ProtocolError(msg) from None
+        self.size = len(answer)
         if self._last is not None and self._last[0] == body and self._last[1] == answer:
             return self._last[2]
         value = self._parse(answer)

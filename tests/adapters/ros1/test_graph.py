@@ -122,3 +122,11 @@ def test_a_service_in_doubt_is_looked_up_again(master, looker):
 def test_a_service_that_went_during_the_look(master, looker):
     master.services["/gone"] = ("/c", 5)
     assert Link("/c", "/gone", "") in looker.look().servers
+
+
+@pytest.mark.parametrize(("topics", "least", "most"), [(1, 0.5, 0.5), (1500, 0.51, 1.99), (5000, 2.0, 2.0)])
+def test_a_master_with_much_to_tell_is_looked_at_less_often(master, looker, topics, least, most):
+    master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(topics)]
+    looker.look()
+    assert least <= looker.pause(0.5) <= most
+    assert looker.pause(5.0) == 5.0
