@@ -2,7 +2,8 @@
 
 Half of the topics go from ROS 1 to ROS 2, half back. First nothing is sent; then ten messages a second on each, every
 one numbered and counted at its other end; then one more topic runs at 250 Hz beside the idle ones, and as it did alone,
-in a round of its own before and after. Where the project promises an absolute limit, this is the peer.
+in a round of its own before and after. Where the project promises an absolute limit, this is the peer. What the same
+ends cost depends on the machine: the busy topics also run through two bare relays (`benchmarks.latency.relay`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +105,24 @@ class Crowd(Stage):
         return {way: t | {"sent": sent[way]} for way, t in told.items()}, used
 
 
+class Bare(Crowd):
+    """The same ends and topics with two bare relays in the daemon's place."""
+
+    def start_bridge(self) -> None:
+        """Start roscore and the relays."""
+        self.start_master()
+        endpoint, master = f"tcp/127.0.0.1:{self.place.router_port}", f"http://127.0.0.1:{self.place.master_port}/"
+        topics = {way: [*names, f"/fast/{way}"] for way, names in self._topics.items()}
+        for kind, inward, outward in (("ros1", THERE, BACK), ("ros2", BACK, THERE)):
+            self.launch(kind, "benchmarks.latency.relay", kind, endpoint, master)
+            self.wait_for(kind, "ready")
+            self.command(kind, "relay", "relaying", inward=topics[inward], outward=topics[outward])
+
+    def process_ids(self) -> dict[str, int]:
+        """Process ids by name: the relays as ``ros1`` and ``ros2``, the ends."""
+        return {name: child.pid for name, child in self._children.items()}
+
+
 class Samples:
     """Figures of the fast topic, by way and condition."""
 
@@ -146,7 +166,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if "fast" in args.parts:
                 samples.take(crowd, condition, args.seconds / (2 if condition == "alone" else 1))
             if condition == "beside" and "busy" in args.parts:
-                rows += _busy(crowd, count, args.rate, args.seconds)
+                ours = _busy(crowd, f"{count} topics at {args.rate:g} Hz", args.rate, args.seconds)
+    if "busy" in args.parts:
+        with Bare(count // 2, realtime=args.realtime) as crowd:
+            bare = _busy(crowd, f"{count} topics at {args.rate:g} Hz by bare relays", args.rate, args.seconds)
+        rows = _busy_rows(f"{count} at {args.rate:g} Hz", ours, bare)
     report(_idle(quiet, count) + rows + samples.rows(count), args.json)
 
 
@@ -160,17 +184,54 @@ def _idle(quiet: dict[str, list[float]], count: int) -> list[Row]:
     return rows
 
 
-def _busy(crowd: Crowd, count: int, rate: float, seconds: float) -> list[Row]:
+@dataclass(frozen=True, slots=True)
+class Busy:
+    """What the busy topics took.
+
+    Attributes:
+        cpu: of both workers, or relays, in percent of a core.
+        sent: messages each way.
+        arrived: messages by way, each counted once.
+        p50: microseconds by way.
+        p99: the same.
+    """
+
+    cpu: float
+    sent: Mapping[str, int]
+    arrived: Mapping[str, int]
+    p50: Mapping[str, float]
+    p99: Mapping[str, float]
+
+
+def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
     told, used = crowd.drum("many", list(WAYS), rate, seconds)
-    say(text(f"{count} topics at {rate:g} Hz", used))
-    case = f"{count} at {rate:g} Hz"
-    rows = [Row(f"{case}, CPU of both workers, to the limit", total(used, WORKERS), BUSY_CPU, "%")]
+    say(text(title, used))
     for way, (_, _, name) in WAYS.items():
-        tally = told[way]
-        p50, p99 = figures(tally["ages"])
-        say(f"{name}: p50 {p50:.0f} us, {tally['got'] - tally['distinct']} doubled, {tally['disorder']} out of order")
-        rows.append(Row(f"{case}, {name}, arrived of sent", tally["distinct"], tally["sent"], "msgs", "more"))
-        rows.append(Row(f"{case}, {name}, p99, to the limit", p99, BUSY_P99, "us"))
+        say(f"{name}: {told[way]['got'] - told[way]['distinct']} doubled, {told[way]['disorder']} out of order")
+    ages = {way: figures(tally["ages"]) for way, tally in told.items()}
+    return Busy(
+        total(used, WORKERS),
+        {way: tally["sent"] for way, tally in told.items()},
+        {way: tally["distinct"] for way, tally in told.items()},
+        {way: figure.p50 for way, figure in ages.items()},
+        {way: figure.p99 for way, figure in ages.items()},
+    )
+
+
+def _busy_rows(case: str, ours: Busy, bare: Busy) -> list[Row]:
+    """Ours to the project's limits, and to the bare relays."""
+    what = "CPU of both workers"
+    rows = [
+        Row(f"{case}, {what}, to the limit", ours.cpu, BUSY_CPU, "%"),
+        Row(f"{case}, {what}, to bare relays", ours.cpu, bare.cpu, "%"),
+    ]
+    for way, (_, _, name) in WAYS.items():
+        rows += [
+            Row(f"{case}, {name}, arrived of sent", ours.arrived[way], ours.sent[way], "msgs", "more"),
+            Row(f"{case}, {name}, p99, to the limit", ours.p99[way], BUSY_P99, "us"),
+            Row(f"{case}, {name}, p99, to bare relays", ours.p99[way], bare.p99[way], "us"),
+            Row(f"{case}, {name}, p50, to bare relays", ours.p50[way], bare.p50[way], "us"),
+        ]
     return rows
 
 

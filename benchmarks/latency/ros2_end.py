@@ -12,7 +12,8 @@ from rclpy.qos import QoSProfile
 from benchmarks.latency.end import End
 from benchmarks.latency.taker import Taker, message_class
 
-DEPTH = 20
+DEPTH = 100
+"""Room for ten seconds of a message at 10 Hz: what is measured is the bridge, not how long a listener may starve."""
 
 
 class Ros2End(End):
