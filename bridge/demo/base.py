@@ -21,7 +21,7 @@ RADIUS = 0.2
 
 @dataclass
 class Base:
-    """Pose in the frame ``odom`` in metres and radians, velocity in the base's own frame."""
+    """Pose in the frame ``odom`` in metres and radians, velocity in the base's own frame; ``now``: the last step's."""
 
     free: Callable[[float, float], bool]
     x: float = 0.0
@@ -30,6 +30,7 @@ class Base:
     linear: float = 0.0
     angular: float = 0.0
     commanded_at: float = -math.inf
+    now: float = 0.0
 
     def command(self, linear: float, angular: float, now: float) -> None:
         """Obey a velocity command until the next one or its time-out; what is not a number is not obeyed."""
@@ -40,6 +41,7 @@ class Base:
 
     def step(self, seconds: float, now: float) -> None:
         """Move for a while; ``now`` is on the same clock as in `command`."""
+        self.now = now
         if now - self.commanded_at > TIMEOUT:
             self.linear = self.angular = 0.0
         self.yaw = math.remainder(self.yaw + self.angular * seconds, math.tau)

@@ -80,6 +80,7 @@ class Robot:
             return {
                 "pose": [base.x, base.y, base.yaw],
                 "velocity": [base.linear, base.angular],
+                "time": base.now,
                 "map": self._map_text,
             }
 

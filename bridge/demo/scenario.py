@@ -36,6 +36,9 @@ CROSS_SECONDS = 10.0
 SILENCE = 1.0
 """Seconds after a drive; the robot must stand after half of it."""
 
+REPORT_SECONDS = 5.0
+"""How long the robot's report of how it is then is waited for, on a busy machine."""
+
 Tick = Callable[[str], None]
 """Called several times a second with what the demo is at."""
 
@@ -178,6 +181,7 @@ class Demo:
         driver.ask("drive", linear=linear, angular=angular, seconds=seconds, **more)
         drove = self._wait_for(program, "drove", seconds + 5.0, f"{source} drives the robot") or {}
         self._wait(SILENCE, "the driver is silent")
+        self._wait_for_report(robot, time.monotonic())
         self._drives.append(
             Drive(
                 source,
@@ -192,6 +196,12 @@ class Demo:
         )
 
     # -- waiting -------------------------------------------------------------------------------------------------------
+
+    def _wait_for_report(self, robot: Child, since: float) -> None:
+        """Until the robot tells of itself as it was then; one that tells nothing is the checks' to see."""
+        end = time.monotonic() + REPORT_SECONDS
+        while robot.report.get("time", 0.0) < since and time.monotonic() < end:
+            self._wait(0.05, "the driver is silent")
 
     def _wait_for(self, name: str, event: str, seconds: float, doing: str) -> dict[str, Any] | None:
         end = time.monotonic() + seconds
