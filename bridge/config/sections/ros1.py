@@ -23,7 +23,12 @@ class Ros1Section(Section):
         default=None, description="Host name that this machine gives to ROS 1 peers (ROS_HOSTNAME)."
     )
     node: NodeName = Field(default="midspan", description="Node name on the ROS 1 graph.")
-    poll: float = Field(default=0.5, ge=0.05, le=10, description="Seconds between looks at the master's graph.")
+    poll: float = Field(
+        default=0.5,
+        ge=0.05,
+        le=10,
+        description="Seconds between looks at the master's graph; up to 2 where it has hundreds of topics.",
+    )
     goal_frames: Literal["check", "pass"] = Field(
         default="check",
         description="Goals of actions: `check` takes leading slashes off their frames and rejects goals in frames that"
