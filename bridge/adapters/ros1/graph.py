@@ -118,7 +118,7 @@ class Looker:
         return frozenset(Link(k.node, k.topic, self._servers.get(k, "")) for k in there)
 
     def _ask(self) -> list[Any]:
-        me = self.caller
+        me, self._size = self.caller, 0  # one that is away is looked for as often as ever
         answers = self._client.calls([
             ("getSystemState", (me,)), ("getTopicTypes", (me,)), ("getParam", (me, "/run_id")),
             ("getParam", (me, PRESENCE)), ("getPid", (me,)), ("getUri", (me,)),

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from bridge.adapters.ros1.errors import Ros1Error
 from bridge.adapters.ros1.graph import Link, Looker
 from bridge.adapters.ros1.rpc import RpcClient
 from tests.adapters.ros1.servers import node
@@ -130,3 +131,14 @@ def test_a_master_with_much_to_tell_is_looked_at_less_often(master, looker, topi
     looker.look()
     assert least <= looker.pause(0.5) <= most
     assert looker.pause(5.0) == 5.0
+
+
+def test_a_master_that_is_away_is_looked_for_as_often_as_ever(master):
+    master.publishers = [[f"/a_topic_of_many/{number}", ["/a"]] for number in range(5000)]
+    with node(**master.methods()) as uri:
+        client = RpcClient(uri, 5.0)
+        looker = Looker(client, "/me")
+        looker.look()
+    with contextlib.closing(client), pytest.raises(Ros1Error):
+        looker.look()
+    assert looker.pause(0.5) == 0.5
