@@ -18,7 +18,7 @@ mix: setup ## clients of all four sides over three kinds of planners (JSON=FILE 
 	@$(BIN)/python -m tests.interop.mix_table $(if $(JSON),--json '$(JSON)')
 
 test: setup ## all tests, on the real middlewares (ARGS='tests/hub -k latched' for some)
-	@$(BIN)/python -m pytest -p no:cacheprovider -n 4 --dist loadfile --no-loadscope-reorder -m 'not alone' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen
+	@$(BIN)/python -m pytest -p no:cacheprovider -n 3 --dist loadfile --no-loadscope-reorder -m 'not alone' $(ARGS) || [ $$? -eq 5 ] # 5: none chosen
 	@$(BIN)/python -m pytest -p no:cacheprovider -m alone $(ARGS) || [ $$? -eq 5 ]
 
 lint: setup ## ruff: rules and format
