@@ -1,9 +1,9 @@
 """A bare relay: one half of a bridge between ROS 1 and ROS 2 with nothing of Midspan's on the way of a message.
 
 It obeys JSON lines as the ends do (`benchmarks.latency.end`). The half of ROS 1 reads all its connections on one thread
-and writes from zenoh's; that of ROS 2 takes by `benchmarks.latency.taker`. Between the two is a direct link of zenoh
-sessions that are configured as the daemon's own. Strings alone cross, converted by hand; no type is looked up, nothing
-is checked, numbered, counted, queued or kept.
+and writes from zenoh's; that of ROS 2 is an end (`benchmarks.latency.ros2_end`). Between the two is a direct link of
+zenoh sessions that are configured as the daemon's own. Strings alone cross, converted by hand; no type is looked up,
+nothing is checked, numbered, counted, queued or kept.
 
 Usage: ``python -m benchmarks.latency.relay ros1|ros2 ENDPOINT MASTER``; the one of ROS 1 listens on the zenoh endpoint.
 """
@@ -22,13 +22,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 from xmlrpc.server import SimpleXMLRPCServer
 
-import zenoh
-
 from benchmarks.latency.end import tell
+from benchmarks.latency.zenoh_end import ZenohEnd
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.handshake import connect, encode, read_header
-from bridge.hub.attachment import SIZE
-from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
 
 Heard = Callable[[bytes], None]
 
@@ -42,43 +39,14 @@ _CHUNK = 65536
 _SECONDS = 10.0
 
 
-class Link:
-    """The zenoh session of one half."""
-
-    def __init__(self, endpoint: str, *, listens: bool) -> None:
-        tree = session_tree(None if listens else endpoint, shared_memory=True, max_payload=MAX_PAYLOAD)
-        if listens:
-            tree["listen"] = {"endpoints": [endpoint]}
-        self._session = zenoh.open(make_config(tree, None))
-        self._kept: list[Any] = []
-
-    def sender(self, topic: str) -> Heard:
-        """What sends a message to the other half."""
-        publisher = self._session.declare_publisher(
-            topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=False
-        )
-        self._kept.append(publisher)
-        attached = bytes(SIZE)
-        return lambda payload: publisher.put(payload, attachment=attached)
-
-    def listen(self, topic: str, heard: Heard) -> None:
-        """Call ``heard`` on zenoh's thread with each message of the other half."""
-        handler: Any = zenoh.handlers.Callback(lambda sample: heard(sample.payload.to_bytes()), indirect=False)
-        self._kept.append(self._session.declare_subscriber(topic.strip("/"), handler))
-
-    def close(self) -> None:
-        """End the session."""
-        self._session.close()  # type: ignore[no-untyped-call]
-
-
 class Ros1Half:
     """A ROS 1 node of bare sockets."""
 
-    def __init__(self, link: Link, master: str) -> None:
+    def __init__(self, link: ZenohEnd, master: str) -> None:
         self._link = link
         self._master = xmlrpc.client.ServerProxy(master)
         self._poll = select.epoll()
-        self._incoming: dict[int, tuple[DeadlineSocket, Heard]] = {}
+        self._incoming: dict[int, tuple[socket.socket, Heard]] = {}
         self._senders: dict[str, Heard] = {}
         self._outgoing: dict[str, list[socket.socket]] = defaultdict(list)
         self._tcp = socket.create_server(("127.0.0.1", 0), backlog=1024)
@@ -93,10 +61,10 @@ class Ros1Half:
         """Carry topics from ROS 1, and to it."""
         address = f"http://127.0.0.1:{self._api.server_address[1]}/"
         for topic in inward:
-            self._senders[topic] = self._link.sender(topic)
+            self._senders[topic] = self._link.publisher(topic, TYPE["type"])[0]
             self._master.registerSubscriber(NODE, topic, TYPE["type"], address)
         for topic in outward:
-            self._link.listen(topic, self._writer(self._outgoing[topic]))
+            self._link.listen(topic, TYPE["type"], self._writer(self._outgoing[topic]))
             self._master.registerPublisher(NODE, topic, TYPE["type"], address)
 
     def _publishers(self, _caller: str, topic: str, uris: list[str]) -> list[Any]:
@@ -108,8 +76,7 @@ class Ros1Half:
 
     def _connect(self, topic: str, uris: list[str]) -> None:
         for uri in uris:
-            sock, _ = connect(NODE, uri, topic, _SECONDS)
-            sock.deadline = float("inf")
+            sock = _plain(connect(NODE, uri, topic, _SECONDS)[0])
             self._incoming[sock.fileno()] = sock, self._senders[topic]
             self._poll.register(sock.fileno(), select.EPOLLIN)
 
@@ -120,13 +87,13 @@ class Ros1Half:
             header = read_header(sock)
             sock.sendall(encode({"callerid": NODE, "topic": header["topic"], "latching": "0", **TYPE}))
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._outgoing[header["topic"]].append(socket.socket(fileno=sock.detach()))
+            self._outgoing[header["topic"]].append(_plain(sock))
 
     def _read(self) -> None:
         while True:
             for number, _ in self._poll.poll(maxevents=64):
                 sock, send = self._incoming[number]
-                data = socket.socket.recv(sock, _CHUNK, socket.MSG_DONTWAIT)
+                data = sock.recv(_CHUNK)  # whole messages: these are small, and each is sent in one piece
                 if not data:
                     self._poll.unregister(number)
                 at = 0
@@ -146,41 +113,40 @@ class Ros1Half:
         return write
 
 
-class Ros2Half:
-    """A ROS 2 node without an executor."""
+def _plain(sock: DeadlineSocket) -> socket.socket:
+    """The same connection without a deadline."""
+    plain = socket.socket(fileno=sock.detach())
+    plain.settimeout(None)
+    return plain
 
-    def __init__(self, link: Link) -> None:
-        import rclpy
 
-        from benchmarks.latency.taker import Taker
+def _ros2_half(link: ZenohEnd) -> Callable[[Sequence[str], Sequence[str]], None]:
+    """What carries topics from ROS 2, and to it."""
+    from benchmarks.latency.ros2_end import Ros2End  # which needs rclpy
 
-        rclpy.init()
-        self._link, self._taker = link, Taker()
-        self._node = rclpy.create_node("bare_relay", enable_rosout=False, start_parameter_services=False)
+    end, type_ = Ros2End(), "std_msgs/msg/String"
 
-    def relay(self, inward: Sequence[str], outward: Sequence[str]) -> None:
-        """Carry topics from ROS 2, and to it."""
-        from rclpy.qos import QoSProfile
-
-        from benchmarks.latency.ros2_end import DEPTH
-        from benchmarks.latency.taker import message_class
-
-        type_, qos = "std_msgs/msg/String", QoSProfile(depth=DEPTH)  # type: ignore[no-untyped-call]
+    def relay(inward: Sequence[str], outward: Sequence[str]) -> None:
         for topic in outward:
-            self._link.listen(topic, self._node.create_publisher(message_class(type_), topic, qos).publish)
+            link.listen(topic, type_, end.publisher(topic, type_)[0])
         for topic in inward:
-            self._taker.listen(self._node, topic, type_, qos, self._link.sender(topic))
+            end.listen(topic, type_, link.publisher(topic, type_)[0])
+
+    return relay
 
 
 def main() -> None:
     """Obey until the input ends."""
     kind, endpoint, master = sys.argv[1:]
-    link = Link(endpoint, listens=kind == "ros1")
-    half = Ros1Half(link, master) if kind == "ros1" else Ros2Half(link)
+    listens = kind == "ros1"
+    link = ZenohEnd(
+        None if listens else endpoint, shared_memory=True, listen=endpoint if listens else "", express=False
+    )
+    relay = Ros1Half(link, master).relay if kind == "ros1" else _ros2_half(link)
     tell("ready")
     for line in sys.stdin:
         command = json.loads(line)
-        half.relay(command["inward"], command["outward"])
+        relay(command["inward"], command["outward"])
         tell("relaying")
     link.close()
 

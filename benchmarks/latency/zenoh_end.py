@@ -17,18 +17,28 @@ from bridge.hub.settings import MAX_PAYLOAD, make_config, session_tree
 
 
 class ZenohEnd(End):
-    """One session."""
+    """One session.
 
-    def __init__(self, router: str, *, shared_memory: bool) -> None:
+    Args:
+        peer: the endpoint of a router, or of another peer; None where this one is listened for.
+        shared_memory: the hub's setting.
+        listen: the endpoint on which this one listens, "" for any.
+        express: whether each sample goes in a packet of its own.
+    """
+
+    def __init__(self, peer: str | None, *, shared_memory: bool, listen: str = "", express: bool = True) -> None:
         super().__init__()
-        tree = session_tree(router, shared_memory=shared_memory, max_payload=MAX_PAYLOAD)
+        self._express = express
+        tree = session_tree(peer, shared_memory=shared_memory, max_payload=MAX_PAYLOAD)
+        if listen:
+            tree["listen"] = {"endpoints": [listen]}
         self._session = zenoh.open(make_config(tree, None))
         self._endpoints: list[Any] = []
 
     def publisher(self, topic: str, type_: str) -> tuple[Callable[[bytes], None], Callable[[], bool]]:  # noqa: ARG002
         """As the base says."""
         publisher = self._session.declare_publisher(
-            topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=True
+            topic.strip("/"), congestion_control=zenoh.CongestionControl.DROP, express=self._express
         )
         self._endpoints.append(publisher)
         attached = bytes(SIZE)

@@ -18,6 +18,7 @@ def test_many_topics_arrive_and_are_counted(tmp_path: Path) -> None:
         arrived = rows[f"4 at 20 Hz, {way}, arrived of sent"]
         assert arrived["ours"] == arrived["peer"] == 40
         assert rows[f"4 at 20 Hz, {way}, p99, to the limit"]["ours"] > 0
+        assert rows[f"4 at 20 Hz, {way}, p99, to bare relays"]["peer"] > 0
     assert rows["4 at 20 Hz, CPU of both workers, to the limit"]["ours"] > 0
 
 
