@@ -55,13 +55,14 @@ class BridgeWorker(Worker):
         # A status document or diagnostics of many routes must not hold up a message for Python's usual 5 ms.
         sys.setswitchinterval(SWITCH_INTERVAL)
         keep_memory()
-        # Where its compiled form cannot be kept this takes seconds: not in the engine, at the first route.
-        importlib.import_module("bridge.messages.machine")
         config = _with_memory(config)
         registry = Registry(folders=list(config.types.folders), mapping_rules=list(config.types.mapping_rules))
         for name, edge in make_edges(self.side, config, registry, worker_folder(config)).items():
             told = self.side in EDGES  # on foreign keys nobody expects our diagnostics
             self._crossings.append(Crossing(name, edge, config, registry, self._failed, diagnostics=told))
+        # The first route needs it. Where its compiled form cannot be kept this takes seconds, for which no engine may
+        # hang; else it is done while they look who else is on their networks.
+        importlib.import_module("bridge.messages.machine")
         keep_objects()
 
     def reload(self, config: Config) -> bool:
