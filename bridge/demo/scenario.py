@@ -142,20 +142,19 @@ class Demo:
         self._children[name] = Child(name, command, env, self._place.folder)
 
     def _wait_for_master(self) -> None:
-        end = time.monotonic() + START_SECONDS
-        while not self._place.master_answers():
-            if time.monotonic() > end:
-                msg = f"roscore does not answer at {self._place.master}:\n{self._children['roscore'].last_words()}"
-                raise DemoError(msg)
-            self._wait(0.1, "starting roscore")
+        if not self._until(self._place.master_answers, START_SECONDS, 0.1, "starting roscore"):
+            msg = f"roscore does not answer at {self._place.master}:\n{self._children['roscore'].last_words()}"
+            raise DemoError(msg)
 
     def _wait_until_joined(self) -> None:
         """Until each listener heard something of the robot; what never crosses is the checks' to tell."""
-        end = time.monotonic() + START_SECONDS
-        while time.monotonic() < end:
-            if all(_heard_anything(self._children[program].report) for program in (ROS2, ZENOH, YARP)):
-                return
-            self._wait(0.2, "waiting for the first messages to cross")
+        listeners = [self._children[program] for program in (ROS2, ZENOH, YARP)]
+        self._until(
+            lambda: all(_heard_anything(child.report) for child in listeners),
+            START_SECONDS,
+            0.2,
+            "waiting for the first messages to cross",
+        )
 
     def _join_late(self, program: str) -> None:
         """Have a program listen to what was said long ago, and wait a moment for that.
@@ -181,7 +180,8 @@ class Demo:
         driver.ask("drive", linear=linear, angular=angular, seconds=seconds, **more)
         drove = self._wait_for(program, "drove", seconds + 5.0, f"{source} drives the robot") or {}
         self._wait(SILENCE, "the driver is silent")
-        self._wait_for_report(robot, time.monotonic())
+        silent = time.monotonic()
+        self._until(lambda: robot.report.get("time", 0.0) > silent, REPORT_SECONDS, 0.05, "the driver is silent")
         self._drives.append(
             Drive(
                 source,
@@ -197,11 +197,14 @@ class Demo:
 
     # -- waiting -------------------------------------------------------------------------------------------------------
 
-    def _wait_for_report(self, robot: Child, since: float) -> None:
-        """Until the robot tells of itself as it was then; one that tells nothing is the checks' to see."""
-        end = time.monotonic() + REPORT_SECONDS
-        while robot.report.get("time", 0.0) < since and time.monotonic() < end:
-            self._wait(0.05, "the driver is silent")
+    def _until(self, ready: Callable[[], bool], seconds: float, every: float, doing: str) -> bool:
+        """Wait for something, so long at most; whether it came. What never comes is the checks' to tell."""
+        end = time.monotonic() + seconds
+        while not ready():
+            if time.monotonic() > end:
+                return False
+            self._wait(every, doing)
+        return True
 
     def _wait_for(self, name: str, event: str, seconds: float, doing: str) -> dict[str, Any] | None:
         end = time.monotonic() + seconds
