@@ -54,17 +54,12 @@ class Counters:
         return log
 
     def tick(self) -> float:
-        """Take the rate since the last tick, and give it; called about once a second."""
+        """Take the messages a second since the last tick, and give them; called about once a second."""
         now = time.monotonic()
         then, messages = self._mark
         if now - then >= 0.5:
             self._rate = (self.messages - messages) / (now - then)
             self._mark = (now, self.messages)
-        return self._rate
-
-    @property
-    def rate(self) -> float:
-        """Messages a second between the last two ticks."""
         return self._rate
 
     def as_dict(self) -> dict[str, Any]:

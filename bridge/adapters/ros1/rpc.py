@@ -44,11 +44,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 class RpcClient:
-    """A client of one XML-RPC server that keeps its connection. One thread at a time.
-
-    Attributes:
-        size: bytes of the last answer.
-    """
+    """A client of one XML-RPC server that keeps its connection. One thread at a time."""
 
     def __init__(self, uri: str, timeout: float, limit: int = MAX_ANSWER) -> None:
         try:
@@ -66,7 +62,11 @@ class RpcClient:
         self._limit = limit
         self._asked: tuple[list[Call], str] = ([], "")
         self._last: tuple[bytes, bytes, Any] | None = None
-        self.size = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the last answer."""
+        return len(self._last[1]) if self._last is not None else 0
 
     def call(self, method: str, *params: Any) -> Any:
         """Call one method; the value of its answer. Raises `RefusedError` where the code is not 1."""
@@ -124,7 +124,6 @@ class RpcClient:
                 raise unanswered(what, err) from None
             msg = f"{what}: {str(err) or type(err).__name__}"
             raise ProtocolError(msg) from None
-        self.size = len(answer)
         if self._last is not None and self._last[0] == body and self._last[1] == answer:
             return self._last[2]
         value = self._parse(answer)
