@@ -81,8 +81,8 @@ class BufferServer:
         changes, now = self._buffer.changes, self._node.clock.now_ns()
         new, self._seen = changes != self._seen, changes
         for lookup in list(self._waiting.values()):
-            if (new or lookup.over(now)) and self._end(lookup):
-                del self._waiting[lookup.goal.id]
+            if new or lookup.over(now):
+                self._end(lookup)
         if not self._waiting and self._timer is not None:
             self._timer.close()
             self._timer = None
@@ -94,13 +94,17 @@ class BufferServer:
         except TransformError as err:
             final = isinstance(err, InvalidArgumentError) or lookup.over(self._node.clock.now_ns())
             if final:
-                self._ended["failed"] += 1
                 code = _ERRORS.get(type(err), _TRANSFORM_ERROR)
-                lookup.goal.succeed({"error": {"error": code, "error_string": str(err)}})
+                self._answer(lookup, "failed", {"error": {"error": code, "error_string": str(err)}})
             return final
-        self._ended["found"] += 1
-        lookup.goal.succeed({"transform": stamped(found)})
+        self._answer(lookup, "found", {"transform": stamped(found)})
         return True
+
+    def _answer(self, lookup: _Lookup, how: str, result: dict[str, Any]) -> None:
+        """Answer a lookup; who has its answer finds it waiting no more."""
+        self._waiting.pop(lookup.goal.id, None)
+        self._ended[how] += 1
+        lookup.goal.succeed(result)
 
     def _tell_frames(self, _request: dict[str, Any], answer: Answer) -> None:
         answer({"frame_yaml": self._buffer.yaml()})
