@@ -136,6 +136,13 @@ class NameClient:
             return
         self.lines(["unregister", name])
 
+    def is_taken(self, name: str) -> bool:
+        """Whether another port has taken a name that was registered here."""
+        known, found = self._registered.get(name), self.query(name)
+        if known is None or found is None:
+            return False
+        return (found.host, found.port) != (known.contact.host, known.contact.port)
+
     def leave(self, name: str) -> None:
         """Another port has taken a name of ours: `unregister` will leave it to that one."""
         self._left.add(name)

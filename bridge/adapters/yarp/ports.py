@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -294,8 +295,6 @@ class OwnPorts:
             if (found := contacts.get(own.core.name)) is not None
             and (found.host, found.port) != (own.core.contact.host, own.core.contact.port)
         ]
-        for key in taken:
-            self._naming.leave(owned[key].core.name)
         self._close([owned.pop(key) for key in taken])
 
     def mark_again(self, contacts: Mapping[str, Contact], *, returned: bool) -> None:
@@ -345,6 +344,8 @@ class OwnPorts:
         try:
             if self._naming.get_property(peer, OWNER):
                 problem = f"{peer} is a port of Midspan's; what it carries is not taken up again"
+            elif self._naming.is_taken(own.core.name):  # while we stood still: its connection would end by ours
+                problem = f"{own.core.name} is the name of another program's port by now"
             elif own.plan.writes:
                 done, told = own.core.add_output(f"{link.carrier}:/{peer}" if link.carrier else peer)
                 problem = "" if done else f"{own.core.name}: {told}"
@@ -374,18 +375,25 @@ class OwnPorts:
                 own.inlet.hear(None)
             if own.served is not None:
                 own.served.close()
-        ends = [self._ends.submit(own.core.close) for own in owns]
+        ends = [self._ends.submit(partial(self._end, own.core)) for own in owns]
         deadline = time.monotonic() + _STOP_SECONDS
         for own, end in zip(owns, ends, strict=True):
             try:
                 end.result(max(0.0, deadline - time.monotonic()))
             except CancelledError:  # we stop: nobody else does it any more
-                own.core.close()
+                self._end(own.core)
             except TimeoutError:
                 _log.warning("closing ports takes long; they are left to themselves")
                 return
             except Exception:
                 _log.exception("closing a port failed")
+
+    def _end(self, core: PortCore) -> None:
+        """Close a port; a name that another one took, perhaps while we stood still, stays its own."""
+        with contextlib.suppress(NamingError):
+            if self._naming.is_taken(core.name):
+                self._naming.leave(core.name)
+        core.close()
 
     def stop(self) -> None:
         """Close everything, and open nothing any more."""

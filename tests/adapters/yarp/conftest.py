@@ -18,6 +18,7 @@ from tests.support.quick_hub import QuickHub
 from tests.support.wait import until
 from tests.support.yarp_programs import Definitions, Names, YarpProgram
 from yarp_compat.naming import connections
+from yarp_compat.naming.client import NameClient
 from yarp_compat.naming.errors import NamingError
 from yarp_compat.ports.message import Message
 from yarp_compat.ports.port import PortCore
@@ -30,11 +31,13 @@ DEFINITIONS = Definitions(())
 class YarpPort:
     """A port of a YARP program without any ROS."""
 
-    def __init__(self, names: Names, name: str, profile: Profile = Profile.YARP3) -> None:
+    def __init__(
+        self, names: Names, name: str, profile: Profile = Profile.YARP3, naming: NameClient | None = None
+    ) -> None:
         self.name, self.names, self.profile = name, names, profile
         self._heard: list[Message] = []
         self._changed = threading.Condition()
-        self.core = PortCore(name, naming=names.client, on_message=self._hear, profile=profile)
+        self.core = PortCore(name, naming=naming or names.client, on_message=self._hear, profile=profile)
         self.core.open()
 
     def _hear(self, message: Message) -> None:

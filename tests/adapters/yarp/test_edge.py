@@ -104,6 +104,36 @@ def test_who_subscribes_during_a_turn_hears_everything_from_then_on(
     writer.stop()
 
 
+def test_a_late_turn_cuts_no_connection_of_the_port_that_has_the_name_by_now(
+    names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The worker stood still between its look at the name server and its connections, and another took over."""
+    reader = YarpPort(names, "/talk-@/reader")
+    names.client.set_property(reader.name, "type", "std_msgs/String")
+    edge.advertise("/talk", STRING, Qos())
+    connect, port, others = edge._ports.connect, "/midspan/talk:o", list[YarpPort]()
+
+    def late() -> None:
+        own = edge._ports._own.get(port)
+        if own is None or reader.name not in own.links or others:
+            connect()
+            return
+        others.append(YarpPort(names, port, naming=NameClient(names.address)))
+        others[0].write_to(reader.name)
+        connect()
+        (making,) = own.making.values()
+        assert not making.result(20)
+        others[0].write(["still heard"])
+
+    monkeypatch.setattr(edge._ports, "connect", late)
+    edge.start(LISTENER)
+    assert reader.messages(1, 20), "the other one's connection is as it was"
+    edge.stop()
+    assert names.client.query(port) == others[0].core.contact
+    for one in (*others, reader):
+        one.stop()
+
+
 def test_what_a_late_turn_opens_is_closed(names: Names, edge: YarpEdge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The clerk is held up for longer than its end is waited for, and opens a port then."""
     monkeypatch.setattr(edge_module, "_LAST_WORDS", 0.05)

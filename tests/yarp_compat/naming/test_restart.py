@@ -226,3 +226,17 @@ def test_a_name_that_another_took(server: NameServer, caplog: pytest.LogCaptureF
     until(lambda: "the name /p was taken by a port at tcp://127.0.0.1:12345/" in caplog.text, "it is said")
     assert names.query("/p") == taken
     port.close()
+
+
+def test_a_name_that_another_took_may_be_left_to_it(server: NameServer) -> None:
+    names, others = NameClient(server.address), NameClient(server.address)
+    port = PortCore("/p", naming=names)
+    port.open()
+    assert not names.is_taken("/p")
+    assert not others.is_taken("/p"), "it never had it"
+    taken = others.register("/p", "127.0.0.1", 12345)
+    assert names.is_taken("/p")
+    names.leave("/p")
+    port.close()
+    assert others.query("/p") == taken
+    assert not names.is_taken("/p"), "it is given up"
