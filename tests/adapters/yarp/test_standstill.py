@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -88,6 +89,7 @@ class Talk:
     """Numbered lines between a YARP program and programs of the hubs, each of which must come once."""
 
     def __init__(self, pair: Pair) -> None:
+        self._states = pair.states
         self._ends: list[Any] = [pair.program, *pair.far]
         self._out = [end.advertise("/both", STRING) for end in self._ends]
         self._heard = [end.subscribe("/both", STRING) for end in self._ends]
@@ -121,8 +123,13 @@ class Talk:
         hubs = range(1, len(self._ends))
         wanted = {0: {f"{what} {hub} {n}" for hub in hubs for n in range(COUNT)}}
         wanted |= {hub: {f"{what} 0 {n}" for n in range(COUNT)} for hub in hubs}
-        for end, lines in wanted.items():
-            until(lambda e=end, w=lines: w <= set(self._texts(e)), f"{what} is heard at {end}", 30)
+
+        def missing() -> dict[int, list[str]]:
+            return {end: found for end, lines in wanted.items() if (found := sorted(lines - set(self._texts(end))))}
+
+        with contextlib.suppress(AssertionError):  # the next one tells what
+            until(lambda: not missing(), f"{what} is heard", 30)
+        assert not missing(), self._states()
 
     def twice(self) -> dict[str, int]:
         """What any end heard more than once, once nothing more comes."""
