@@ -1,4 +1,4 @@
-"""One thread reads all connections on which only small messages come.
+"""One thread reads many connections: all on which only small messages come, and all that carry calls.
 
 Hundreds of threads that each wait for a message of their own, and then for the interpreter, take turns more often than
 messages come: 500 topics at 10 Hz had the worker's threads switch 50,000 times a second.
@@ -16,14 +16,22 @@ from typing import Protocol
 _log = logging.getLogger(__name__)
 
 _AT_ONCE = 64
-_JOIN_SECONDS = 2.0
+_JOIN_SECONDS = 1.0
+_LISTEN = select.EPOLLIN | select.EPOLLRDHUP
+_WATCH = select.EPOLLRDHUP
 
 
 class Source(Protocol):
-    """What is read here."""
+    """What is read here.
+
+    Attributes:
+        listens: whether what comes is read, or only its end is noticed; see `Intake.listen`.
+    """
+
+    listens: bool
 
     def fileno(self) -> int:
-        """Its socket's descriptor, which stays the same until `Source.take` has returned another thing than None."""
+        """Its socket's descriptor, which stays the same as long as it is read here."""
 
     def take(self) -> Callable[[], None] | None:
         """Take what has come, without waiting; None, or what is to be done once it is read here no more."""
@@ -33,17 +41,21 @@ class Source(Protocol):
 
 
 class Intake:
-    """Calls `Source.take` whenever something has come; methods may be called from any thread."""
+    """Calls `Source.take` whenever something has come; methods may be called from any thread.
 
-    def __init__(self) -> None:
+    Args:
+        name: of its thread, which starts with the first source.
+    """
+
+    def __init__(self, name: str = "midspan-ros1-intake") -> None:
         self._epoll = select.epoll()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC)
         self._epoll.register(self._wake, select.EPOLLIN)
         self._sources: dict[int, Source] = {}
         self._lock = threading.Lock()
         self._stopped = False
-        self._thread = threading.Thread(target=self._run, name="midspan-ros1-intake", daemon=True)
-        self._thread.start()
+        self._name = name
+        self._thread: threading.Thread | None = None
 
     @staticmethod
     def available() -> bool:
@@ -60,9 +72,28 @@ class Intake:
             number = source.fileno()
             if self._stopped or number < 0:
                 return False
-            self._epoll.register(number, select.EPOLLIN)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+                self._thread.start()
+            self._epoll.register(number, _LISTEN if source.listens else _WATCH)
             self._sources[number] = source
             return True
+
+    def listen(self, source: Source, *, data: bool) -> None:
+        """Whether what a source brings is read, or only its end is noticed."""
+        with self._lock:
+            source.listens = data
+            number = source.fileno()
+            if self._sources.get(number) is source:
+                self._epoll.modify(number, _LISTEN if data else _WATCH)
+
+    def remove(self, source: Source) -> None:
+        """Leave a source alone. Before its descriptor is closed."""
+        with self._lock:
+            number = source.fileno()
+            if self._sources.get(number) is source:
+                del self._sources[number]
+                self._epoll.unregister(number)
 
     def stop(self) -> None:
         """Read nothing more, and abandon all sources. Safe to call twice."""
@@ -70,6 +101,9 @@ class Intake:
             if self._stopped:
                 return
             self._stopped = True
+            if self._thread is None:
+                self._close()
+                return
             os.eventfd_write(self._wake, 1)  # with the lock: the thread closes it
         if self._thread is not threading.current_thread():
             self._thread.join(_JOIN_SECONDS)
@@ -79,14 +113,17 @@ class Intake:
             for number, _ in self._epoll.poll(maxevents=_AT_ONCE):
                 source = self._sources.get(number)
                 if source is not None and (then := source.take()) is not None:
-                    self._drop(number, source)
+                    self.remove(source)
                     self._do(then)
-        for source in self._sources.values():
-            source.abandon()
-        self._sources.clear()
+        for source in list(self._sources.values()):
+            self._do(source.abandon)
         with self._lock:
-            self._epoll.close()
-            os.close(self._wake)
+            self._sources.clear()
+            self._close()
+
+    def _close(self) -> None:
+        self._epoll.close()
+        os.close(self._wake)
 
     @staticmethod
     def _do(then: Callable[[], None]) -> None:
@@ -94,9 +131,3 @@ class Intake:
             then()
         except Exception:
             _log.exception("what follows the end of a ROS 1 connection failed")
-
-    def _drop(self, number: int, source: Source) -> None:
-        with self._lock:
-            if self._sources.get(number) is source:
-                del self._sources[number]
-                self._epoll.unregister(number)

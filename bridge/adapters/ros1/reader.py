@@ -69,6 +69,7 @@ class Reader:
         self.stat_bytes = 0
         self.stat_num_msg = 0
         self.done = False
+        self.listens = True
         self._peer = sock.getpeername()
         self._local = sock.getsockname()
         keep_alive(sock)

@@ -15,10 +15,10 @@ from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.errors import ExhaustedError, Ros1Error
 from bridge.adapters.ros1.graph import Link, Look
 from bridge.adapters.ros1.handshake import Header, connect_service
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.probe import Facts, Prober
 from bridge.adapters.ros1.service_caller import Caller
-from bridge.adapters.ros1.service_loop import Loop
 from bridge.adapters.ros1.service_server import Servers
 from bridge.hub.call import Abandon, Done
 from bridge.hub.qos import Qos
@@ -56,14 +56,14 @@ class Services:
         limit: int,
     ) -> None:
         self._lanes, self._node, self._found, self._doubt, self._limit = lanes, node, found, doubt, limit
-        self._loop = Loop("midspan-ros1-calls")
+        self._intake = Intake("midspan-ros1-calls")
         self._prober = Prober(lanes, node, self._probed, self._handshake, "server")
         self._lock = threading.Lock()
         self._following = threading.Lock()  # what was known before must not be followed after what is known now
         self._links: frozenset[Link] = frozenset()
         self._callers: set[Caller] = set()
         self._check_due = 0.0
-        self.servers = Servers(self._loop, node, origin, wake, limit)
+        self.servers = Servers(self._intake, node, origin, wake, limit)
 
     def stop(self) -> None:
         """Close everything."""
@@ -72,7 +72,7 @@ class Services:
         for caller in callers:
             caller.close()
         self.servers.close()
-        self._loop.stop()
+        self._intake.stop()
 
     # -- the graph -----------------------------------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class Services:
         """See `bridge.adapters.base.Edge.caller`."""
         caller = Caller(
             name, side_type,
-            loop=self._loop, lanes=self._lanes, node=self._node, doubt=self._doubted, limit=self._limit,
+            intake=self._intake, lanes=self._lanes, node=self._node, doubt=self._doubted, limit=self._limit,
         )  # fmt: skip
         with self._lock:
             self._callers.add(caller)

@@ -14,8 +14,9 @@ from collections.abc import Callable
 from bridge.adapters.ros1.errors import ExhaustedError, Ros1Error, UnreachableError, unanswered
 from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import connect_service
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.lanes import Lanes
-from bridge.adapters.ros1.service_loop import LENGTH, Connection, Loop
+from bridge.adapters.ros1.service_connection import LENGTH, Connection
 from bridge.hub.call import Abandon, CallError, Done
 from bridge.messages.conversion import SideType
 
@@ -73,8 +74,8 @@ class _Line(Connection):
 
     head = 5
 
-    def __init__(self, sock: socket.socket, link: Link, owner: Caller, loop: Loop, limit: int) -> None:
-        super().__init__(sock, loop, limit)
+    def __init__(self, sock: socket.socket, link: Link, owner: Caller, intake: Intake, limit: int) -> None:
+        super().__init__(sock, intake, limit)
         self.link = link
         self._owner = owner
         self._pending: _Pending | None = None
@@ -133,14 +134,14 @@ class Caller:
         name: str,
         side_type: SideType,
         *,
-        loop: Loop,
+        intake: Intake,
         lanes: Lanes,
         node: Callable[[], str],
         doubt: Doubt,
         limit: int,
     ) -> None:
         self.name, self.md5 = name, side_type.type_id
-        self._loop, self._lanes, self._node, self._doubt, self._limit = loop, lanes, node, doubt, limit
+        self._intake, self._lanes, self._node, self._doubt, self._limit = intake, lanes, node, doubt, limit
         self._lock = threading.Lock()
         self._link: Link | None = None
         self._lines: set[_Line] = set()
@@ -260,7 +261,7 @@ class Caller:
         fields = {"md5sum": self.md5, "persistent": "1"}
         sock, _ = connect_service(self._node(), link.uri, link.topic, _CONNECT_SECONDS, **fields)
         try:
-            line = _Line(sock, link, self, self._loop, self._limit)
+            line = _Line(sock, link, self, self._intake, self._limit)
         except OSError as err:
             sock.close()
             raise unanswered(f"{link.topic} broke off", err) from None

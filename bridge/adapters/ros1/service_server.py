@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.handshake import ORIGIN_FIELD, Header, encode
-from bridge.adapters.ros1.service_loop import LENGTH, Connection, Loop
+from bridge.adapters.ros1.intake import Intake
+from bridge.adapters.ros1.service_connection import LENGTH, Connection
 from bridge.hub.call import Abandon, Call, CallError
 from bridge.messages.conversion import SideType
 from bridge.messages.errors import MessageTypeError
@@ -29,8 +30,8 @@ class _Client(Connection):
 
     head = 4
 
-    def __init__(self, sock: socket.socket, server: Server, loop: Loop, limit: int, *, persistent: bool) -> None:
-        super().__init__(sock, loop, limit)
+    def __init__(self, sock: socket.socket, server: Server, intake: Intake, limit: int, *, persistent: bool) -> None:
+        super().__init__(sock, intake, limit)
         self._server, self._persistent = server, persistent
         self._state = threading.Lock()
         self._turn = self._left = 0
@@ -61,7 +62,7 @@ class _Client(Connection):
             self._turn += 1
             turn = self._turn
             self._waits = self._busy = True
-        self._loop.listen(self, data=False)
+        self._intake.listen(self, data=False)
         if not self._server.is_open:
             self._done(turn, CallError(self._server.gone))
             return
@@ -84,7 +85,7 @@ class _Client(Connection):
     def _skipped(self, size: int) -> None:
         # Told only now: a connection that closes on unread bytes takes the error with it.
         self._busy = True
-        self._loop.listen(self, data=False)
+        self._intake.listen(self, data=False)
         self._reply(CallError(f"the request has {size} bytes, limits.message allows {self._limit}"))
 
     def _done(self, turn: int, result: bytes | CallError) -> None:
@@ -113,7 +114,7 @@ class _Client(Connection):
     def _sent(self) -> None:
         if self._persistent:
             self._busy = False
-            self._loop.listen(self, data=True)
+            self._intake.listen(self, data=True)
         else:
             self.cut()
 
@@ -175,7 +176,7 @@ class Servers:
     """All that our node serves.
 
     Args:
-        loop: reads the clients' connections.
+        intake: reads the clients' connections.
         node: our node's name now.
         origin: the daemon's name, for `ORIGIN_FIELD`.
         changed: called when a service came or went: the master is to know.
@@ -183,9 +184,9 @@ class Servers:
     """
 
     def __init__(
-        self, loop: Loop, node: Callable[[], str], origin: str, changed: Callable[[], None], limit: int
+        self, intake: Intake, node: Callable[[], str], origin: str, changed: Callable[[], None], limit: int
     ) -> None:
-        self._loop, self._node, self._origin, self._changed, self._limit = loop, node, origin, changed, limit
+        self._intake, self._node, self._origin, self._changed, self._limit = intake, node, origin, changed, limit
         self._lock = threading.Lock()
         self._servers: dict[str, Server] = {}
 
@@ -230,7 +231,7 @@ class Servers:
             sock.close()
             return ""
         persistent = header.get("persistent", "").strip().lower() in _YES
-        client = _Client(sock, server, self._loop, self._limit, persistent=persistent)
+        client = _Client(sock, server, self._intake, self._limit, persistent=persistent)
         if server.add(client):
             client.start()
         else:

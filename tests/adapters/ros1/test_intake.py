@@ -156,16 +156,16 @@ def test_one_that_is_closed_as_it_starts_harms_no_other(crowd: Crowd, monkeypatc
 
     staying, number = crowd.add(), len(crowd.readers)
     crowd.add(start=False)
-    reader, drop = crowd.readers[number], crowd.intake._drop
+    reader, remove = crowd.readers[number], crowd.intake.remove
     reader._sock = Slow(fileno=reader._sock.detach())
     closer = threading.Thread(target=reader.close)
 
     def late(*given: Any) -> None:
         dropping.set()
         closer.join()
-        drop(*given)
+        remove(*given)
 
-    monkeypatch.setattr(crowd.intake, "_drop", late)
+    monkeypatch.setattr(crowd.intake, "remove", late)
     closer.start()
     assert closing.wait(20)
     reader.start()

@@ -13,9 +13,9 @@ import pytest
 
 from bridge.adapters.ros1.graph import Link
 from bridge.adapters.ros1.handshake import decode, encode
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.lanes import Lanes
 from bridge.adapters.ros1.service_caller import MAX_CALLS, Caller
-from bridge.adapters.ros1.service_loop import Loop
 from bridge.hub.call import CallError
 from bridge.messages.conversion import SideType
 from tests.adapters.ros1.servers import tcp_server, until_closed
@@ -92,9 +92,9 @@ class Bench:
     """A caller with what it needs."""
 
     def __init__(self) -> None:
-        self.loop, self.lanes, self.doubts = Loop("test-calls"), Lanes(), []
+        self.intake, self.lanes, self.doubts = Intake("test-calls"), Lanes(), []
         self.caller = Caller(
-            "/serve", TYPE, loop=self.loop, lanes=self.lanes, node=lambda: "/me",
+            "/serve", TYPE, intake=self.intake, lanes=self.lanes, node=lambda: "/me",
             doubt=lambda link, trouble: self.doubts.append((link, trouble)), limit=LIMIT,
         )  # fmt: skip
 
@@ -120,7 +120,7 @@ def bench() -> Iterator[Bench]:
     made = Bench()
     yield made
     made.caller.close()
-    made.loop.stop()
+    made.intake.stop()
     made.lanes.stop()
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from bridge.adapters.ros1.deadline import DeadlineSocket
 from bridge.adapters.ros1.handshake import decode, encode
-from bridge.adapters.ros1.service_loop import Loop
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.service_server import MAX_CLIENTS, Servers
 from bridge.hub.call import CallError
 from bridge.messages.conversion import SideType
@@ -49,8 +49,8 @@ class Bench:
     """A node's services, and clients of them over real sockets."""
 
     def __init__(self) -> None:
-        self.loop, self.changes, self.handler = Loop("test-serving"), 0, Handler()
-        self.servers = Servers(self.loop, lambda: "/midspan", "robot", self.changed, LIMIT)
+        self.intake, self.changes, self.handler = Intake("test-serving"), 0, Handler()
+        self.servers = Servers(self.intake, lambda: "/midspan", "robot", self.changed, LIMIT)
         self.server = self.servers.open("/serve", TYPE, self.handler)
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=256)
         self._clients = contextlib.ExitStack()
@@ -76,7 +76,7 @@ class Bench:
 
     def close(self) -> None:
         self.servers.close()
-        self.loop.stop()
+        self.intake.stop()
         self._clients.close()
         self._listener.close()
 

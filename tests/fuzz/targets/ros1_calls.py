@@ -49,11 +49,11 @@ def _drive(connection: Any, loop: _Loop) -> None:
 
 
 def _patched() -> Any:
-    from bridge.adapters.ros1 import service_loop
+    from bridge.adapters.ros1 import service_connection
 
-    service_loop.keep_alive = lambda _sock: None  # type: ignore[attr-defined]
-    service_loop.socket = SimpleNamespace(**{**vars(socket), "socket": _Plain})  # type: ignore[attr-defined]
-    return service_loop
+    service_connection.keep_alive = lambda _sock: None  # type: ignore[attr-defined]
+    service_connection.socket = SimpleNamespace(**{**vars(socket), "socket": _Plain})  # type: ignore[attr-defined]
+    return service_connection
 
 
 def _said(data: bytes) -> tuple[socket.socket, socket.socket]:

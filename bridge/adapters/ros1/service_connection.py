@@ -1,4 +1,4 @@
-"""Connections that carry calls: one thread reads them all, and whoever has something to say writes.
+"""Connections that carry calls: an intake reads them, and whoever has something to say writes.
 
 After its header a connection to a service carries one call at a time (https://wiki.ros.org/ROS/TCPROS,
 https://wiki.ros.org/roscpp/Overview/Services): the request is a little-endian 32-bit length and so many bytes; the
@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
-import select
 import socket
 import struct
 import threading
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from bridge.adapters.ros1.intake import Intake
 from bridge.adapters.ros1.reader import keep_alive
 
 _log = logging.getLogger(__name__)
@@ -30,82 +29,7 @@ _TRUSTED = 16 * 2**20
 """Bytes for which room is made because they are announced; for more, only as they come."""
 
 _NOW = socket.MSG_DONTWAIT
-_LISTEN = select.EPOLLIN | select.EPOLLRDHUP
-_WATCH = select.EPOLLRDHUP
-_STOP_SECONDS = 0.5
-
-
-class Loop:
-    """The thread that waits for all connections; it starts with the first."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._lock = threading.Lock()
-        self._epoll = select.epoll()
-        self._wake = os.eventfd(0)
-        self._epoll.register(self._wake, select.EPOLLIN)
-        self._connections: dict[int, Connection] = {}
-        self._stopping = False
-        self._thread: threading.Thread | None = None
-
-    def add(self, connection: Connection) -> bool:
-        """Read a connection from now on; False where the loop has stopped."""
-        with self._lock:
-            if self._stopping:
-                return False
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
-            self._epoll.register(connection.fileno(), _LISTEN if connection.listens else _WATCH)
-            self._connections[connection.fileno()] = connection
-            return True
-
-    def listen(self, connection: Connection, *, data: bool) -> None:
-        """Whether what a connection brings is read, or only its end is noticed."""
-        with self._lock:
-            connection.listens = data
-            if self._connections.get(connection.fileno()) is connection:
-                self._epoll.modify(connection.fileno(), _LISTEN if data else _WATCH)
-
-    def remove(self, connection: Connection) -> None:
-        """Leave a connection alone. Before its descriptor is closed."""
-        with self._lock:
-            if self._connections.get(connection.fileno()) is connection:
-                del self._connections[connection.fileno()]
-                self._epoll.unregister(connection.fileno())
-
-    def stop(self) -> None:
-        """End all connections, and the thread."""
-        with self._lock:
-            if self._stopping:
-                return
-            self._stopping = True
-            os.eventfd_write(self._wake, 1)
-        if self._thread is not None:
-            self._thread.join(_STOP_SECONDS)
-        else:
-            self._close()
-
-    def _run(self) -> None:
-        while not self._stopping:
-            for descriptor, _ in self._epoll.poll():
-                connection = self._connections.get(descriptor)
-                if connection is None:
-                    continue
-                try:
-                    connection.ready()
-                except Exception as err:
-                    _log.exception("%s: a call failed in an unforeseen way", self._name)
-                    connection.end(f"failed here: {type(err).__name__}: {err}")
-        for connection in list(self._connections.values()):
-            with contextlib.suppress(Exception):
-                connection.end("was closed, since the bridge stops")
-        self._close()
-
-    def _close(self) -> None:
-        with self._lock:
-            self._epoll.close()
-            os.close(self._wake)
+_STOPS = "was closed, since the bridge stops"
 
 
 class Connection(ABC):
@@ -114,12 +38,12 @@ class Connection(ABC):
     head: ClassVar[int]
     """Bytes before a message's body; the last four of them are the body's length."""
 
-    def __init__(self, sock: socket.socket, loop: Loop, limit: int) -> None:
+    def __init__(self, sock: socket.socket, intake: Intake, limit: int) -> None:
         self._sock = socket.socket(fileno=sock.detach())
         self._sock.settimeout(None)
         self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         keep_alive(self._sock)
-        self._loop, self._limit = loop, limit
+        self._intake, self._limit = intake, limit
         self._lock = threading.Lock()
         self.listens = True
         self._over = False
@@ -153,7 +77,7 @@ class Connection(ABC):
     def start(self) -> None:
         """Begin to read. On the thread that would read else."""
         try:
-            trouble = "" if self._loop.add(self) else "was closed, since the bridge stops"
+            trouble = "" if self._intake.add(self) else _STOPS
         except OSError as err:
             trouble = f"cannot be read: {err}"
         if trouble:
@@ -172,7 +96,7 @@ class Connection(ABC):
             if self._over:
                 return
             self._over = True
-            self._loop.remove(self)
+            self._intake.remove(self)
             with contextlib.suppress(OSError):
                 self._sock.shutdown(socket.SHUT_RDWR)
             self._sock.close()
@@ -226,8 +150,20 @@ class Connection(ABC):
             pass
         return False
 
+    def take(self) -> None:
+        """See `bridge.adapters.ros1.intake.Source`."""
+        try:
+            self.ready()
+        except Exception as err:
+            _log.exception("a call failed in an unforeseen way")
+            self.end(f"failed here: {type(err).__name__}: {err}")
+
+    def abandon(self) -> None:
+        """See `bridge.adapters.ros1.intake.Source`."""
+        self.end(_STOPS)
+
     def ready(self) -> None:
-        """Read what is there, up to the end of one message. On the loop's thread."""
+        """Read what is there, up to the end of one message. On the reading thread."""
         wanted = self._skip or (self._size if len(self._buffer) >= self.head else self.head) - len(self._buffer)
         try:
             data = self._sock.recv(min(wanted, _CHUNK), _NOW)
@@ -256,7 +192,7 @@ class Connection(ABC):
                     self._skip = size
                 return
             if size > _CHUNK:
-                self._loop.remove(self)
+                self._intake.remove(self)
                 threading.Thread(target=self._read_large, name="midspan-ros1-large", daemon=True).start()
                 return
             if size:
@@ -270,7 +206,7 @@ class Connection(ABC):
         self._message(head, body)
 
     def _read_large(self) -> None:
-        """Read one large body, and hand the connection back to the loop."""
+        """Read one large body, and hand the connection back to the intake."""
         left, parts = self._size - self.head, []
         try:
             while left:
