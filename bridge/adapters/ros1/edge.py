@@ -273,22 +273,23 @@ class Ros1Edge(Edge):
         if changed:
             self._graph_changed()
 
-    def _probed(self) -> None:
-        self._follow_subscriptions()
+    def _probed(self, link: Link) -> None:
+        self._follow_subscriptions(link.topic)
         self._graph_changed()
 
     def _graph_changed(self) -> None:
         if self._listener is not None:
             self._listener.graph_changed()
 
-    def _follow_subscriptions(self) -> None:
+    def _follow_subscriptions(self, topic: str = "") -> None:
+        """Have subscriptions follow what is known of the publishers: all, or those of one topic."""
         with self._lock:
-            subscriptions = list(self._subscriptions)
+            subscriptions = [opened for opened in self._subscriptions if topic in ("", opened.subscription.topic)]
         if not subscriptions:
             return
         with self._following:
             by_topic: dict[str, dict[Link, Facts]] = {}
-            for link, facts in self._prober.facts().items():
+            for link, facts in self._prober.facts(topic).items():
                 by_topic.setdefault(link.topic, {})[link] = facts
             for opened in subscriptions:
                 opened.subscription.follow(by_topic.get(opened.subscription.topic, {}))
@@ -364,7 +365,7 @@ class Ros1Edge(Edge):
         opened = _Open(self, subscription)
         with self._lock:
             self._subscriptions.add(opened)
-        self._follow_subscriptions()
+        self._follow_subscriptions(topic)
         return opened
 
     def _refuse(self, topic: str, reason: str, why: str) -> None:

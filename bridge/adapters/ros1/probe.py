@@ -60,13 +60,21 @@ Handshake = Callable[[str, str, str, float], tuple[DeadlineSocket, Header]]
 
 
 class Prober:
-    """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom."""
+    """Asks every new publisher (or server) once, and those that do not answer again and again, ever more seldom.
+
+    Args:
+        lanes: threads for conversations.
+        caller: our node's name now.
+        changed: called with each one of which something else is known by now.
+        handshake: how they are asked.
+        kind: what they are called.
+    """
 
     def __init__(
         self,
         lanes: Lanes,
         caller: Callable[[], str],
-        changed: Callable[[], None],
+        changed: Callable[[Link], None],
         handshake: Handshake = connect,
         kind: str = "publisher",
     ) -> None:
@@ -97,10 +105,10 @@ class Prober:
         """Whether there are publishers of which nothing is known."""
         return bool(self._open)
 
-    def facts(self) -> Mapping[Link, Facts]:
-        """What is known now."""
+    def facts(self, topic: str = "") -> Mapping[Link, Facts]:
+        """What is known now, of one topic where one is given."""
         with self._lock:
-            return dict(self._facts)
+            return {link: facts for link, facts in self._facts.items() if topic in ("", link.topic)}
 
     def doubt(self, link: Link, trouble: str) -> None:
         """A publisher broke off or turned out different: what is known of it counts no more until it is asked again."""
@@ -108,7 +116,7 @@ class Prober:
             if self._facts.pop(link, None) is None:
                 return
             self._open[link] = _Attempt(due=time.monotonic() + _FIRST_WAIT, trouble=trouble)
-        self._changed()
+        self._changed(link)
 
     def check(self, link: Link) -> None:
         """Ask one again of which something is known; where it does not answer, it is doubted."""
@@ -129,7 +137,7 @@ class Prober:
             if self._facts.get(link) in (None, facts):
                 return
             self._facts[link] = facts
-        self._changed()
+        self._changed(link)
 
     def troubles(self) -> dict[Link, str]:
         """Publishers that did not answer, and why."""
@@ -163,7 +171,7 @@ class Prober:
                 if self._open.pop(link, None) is None:
                     return
                 self._facts[link] = Facts.of(header)
-        self._changed()
+        self._changed(link)
 
     def _again(self, link: Link, trouble: str, *, refused: bool = False) -> None:
         with self._lock:

@@ -139,8 +139,8 @@ class Services:
             self._doubt(service)
             raise
 
-    def _probed(self) -> None:
-        self._follow()
+    def _probed(self, link: Link) -> None:
+        self._follow(link.topic)
         self._found()
 
     def _doubted(self, link: Link, trouble: str) -> None:
@@ -157,7 +157,7 @@ class Services:
         )  # fmt: skip
         with self._lock:
             self._callers.add(caller)
-        self._follow()
+        self._follow(name)
         return _Open(self, caller)
 
     def closed(self, caller: Caller) -> None:
@@ -165,13 +165,14 @@ class Services:
         with self._lock:
             self._callers.discard(caller)
 
-    def _follow(self) -> None:
+    def _follow(self, name: str = "") -> None:
+        """Have callers follow what is known of the servers: all, or those of one service."""
         with self._lock:
-            callers = list(self._callers)
+            callers = [caller for caller in self._callers if name in ("", caller.name)]
         if not callers:
             return
         with self._following:
-            servers = {link.topic: (link, facts) for link, facts in self._prober.facts().items() if facts.native}
+            servers = {link.topic: (link, facts) for link, facts in self._prober.facts(name).items() if facts.native}
             for caller in callers:
                 link, facts = servers.get(caller.name, (None, None))
                 fits = facts is not None and (caller.md5 == facts.md5 or caller.md5 in _ANY_MD5)

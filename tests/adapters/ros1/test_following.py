@@ -29,7 +29,7 @@ class LateProber:
     def __init__(self, follow: Callable[[], None]) -> None:
         self._follow, self._asked = follow, 0
 
-    def facts(self) -> Mapping[Link, Facts]:
+    def facts(self, _topic: str = "") -> Mapping[Link, Facts]:
         self._asked += 1
         if self._asked > 1:
             return {LINK: FACTS}

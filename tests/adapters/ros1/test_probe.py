@@ -20,7 +20,7 @@ HEADER = {"type": "std_msgs/String", "md5sum": "992c", "message_definition": "st
 @pytest.fixture
 def prober():
     lanes = Lanes()
-    made = Prober(lanes, lambda: "/me", lambda: None)
+    made = Prober(lanes, lambda: "/me", lambda _link: None)
     yield made
     lanes.stop()
 
