@@ -61,6 +61,27 @@ def test_what_was_known_before_is_not_followed_after_what_is_known_now(tmp_path:
     assert followed[-1] == now
 
 
+def test_what_becomes_known_of_one_topic_disturbs_no_other(tmp_path: Path) -> None:
+    """With a thousand topics each of a thousand answers would have a thousand subscriptions look, else."""
+    edge = Ros1Edge(Config.model_validate({"name": "here", "ros1": {}}), Registry(), tmp_path)
+    followed: list[tuple[str, Any]] = []
+
+    def one(topic: str) -> Any:
+        return SimpleNamespace(
+            topic=topic, name=topic, md5="1", close=lambda: None, follow=lambda known: followed.append((topic, known))
+        )
+
+    topics = ("/t", "/u")
+    edge._subscriptions = [SimpleNamespace(subscription=one(t), close=lambda: None) for t in topics]  # type: ignore[assignment]
+    edge._services._callers = [one(t) for t in topics]  # type: ignore[assignment]
+    other = Link("/b", "/u", "http://b:1/")
+    for prober in (edge._prober, edge._services._prober):
+        prober._facts = {LINK: FACTS, other: FACTS}
+        prober._changed(LINK)
+    edge.stop()
+    assert followed == [("/t", {LINK: FACTS}), ("/t", LINK)]
+
+
 def test_the_topics_of_an_action_that_is_served_here_never_cross_as_topics() -> None:
     """A client registers one topic after the other."""
 
