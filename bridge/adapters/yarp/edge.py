@@ -22,12 +22,11 @@ from bridge.adapters.base import (
     EdgeServer,
     EdgeSubscription,
     Endpoint,
-    Kind,
-    MadeBy,
     Sighting,
 )
 from bridge.adapters.keep import keep
 from bridge.adapters.yarp.contents import Contents
+from bridge.adapters.yarp.endpoints import Endpoints
 from bridge.adapters.yarp.graph import Graph
 from bridge.adapters.yarp.inlet import Inlet
 from bridge.adapters.yarp.names import PRESENCE, PortNames
@@ -40,7 +39,7 @@ from bridge.adapters.yarp.services import Services
 from bridge.config.model import Config
 from bridge.hub.call import Call
 from bridge.hub.origin import Origin
-from bridge.hub.qos import Durability, Qos
+from bridge.hub.qos import Qos
 from bridge.messages.conversion import Conversion, ServiceConversion, SideType
 from bridge.messages.errors import MessageTypeError
 from bridge.messages.registry import Registry
@@ -51,7 +50,6 @@ from yarp_compat.naming.errors import NamingError
 
 _log = logging.getLogger(__name__)
 
-_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 _SETTLE = 0.02
 _MARK_AGAIN = 3.0
 """Seconds after the name server's return for which ports may be registered without their marks."""
@@ -99,6 +97,9 @@ class YarpEdge(Edge):
         )
         self._lock = threading.Lock()
         self._outputs: dict[str, TopicOutput] = {}
+        self._endpoints = Endpoints(
+            self._names, self._contents, self._graph, self._ports, self._services, self._outputs
+        )
         self._heard: dict[tuple[str, str], _Subscription] = {}
         self._listener: EdgeListener | None = None
         self._told: tuple[object, ...] = ()
@@ -243,8 +244,7 @@ class YarpEdge(Edge):
         away = [f"the YARP network: {self._network.trouble}"] if self._network.trouble else []
         untyped = [
             f"{node.port} does not tell its type; give one: yarp.topics, topic {node.topic}"
-            for node in self._graph.nodes
-            if not self._type_of(node.topic, node.type)
+            for node in self._endpoints.untyped()
         ]
         return [*away, *self._ports.warnings(), *sorted(self._graph.trouble.values()), *untyped]
 
@@ -255,81 +255,8 @@ class YarpEdge(Edge):
     # -- the graph -----------------------------------------------------------------------------------------------------
 
     def endpoints(self) -> Sequence[Endpoint]:
-        """Ports that rules name, ports of topics that anybody writes to, and ports opened as ``/topic@/node``."""
-        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
-
-    def _called(self) -> list[Endpoint]:
-        """RPC ports that rules name as services."""
-        return [
-            self._endpoint(port, Kind.SERVER, service, type_name, port)
-            for port, service, type_name in self._services.called()
-            if self._graph.is_there(port)
-        ]
-
-    def _declared(self) -> list[Endpoint]:
-        return [
-            self._endpoint(name := self._names.input(rule.topic), Kind.PUBLISHER, rule.topic, rule.type or "", name)
-            for rule in self._contents.declared
-        ]
-
-    def _foreign(self) -> list[Endpoint]:
-        ports = [(Kind.PUBLISHER, port) for port in self._contents.incoming]
-        ports += [(Kind.SUBSCRIPTION, port) for port in self._contents.outgoing]
-        return [
-            self._endpoint(port.port, kind, port.topic, port.type, port.port, latched=port.latched)
-            for kind, port in ports
-            if self._graph.is_there(port.port)
-        ]
-
-    def _of_nodes(self) -> list[Endpoint]:
-        return [
-            self._endpoint(
-                node.port,
-                Kind.PUBLISHER if node.publishes else Kind.SUBSCRIPTION,
-                node.topic,
-                type_name,
-                node.node,
-                latched=node.latched,
-            )
-            for node in self._graph.nodes
-            if self._graph.is_there(node.port) and (type_name := self._type_of(node.topic, node.type))
-        ]
-
-    def _of_writers(self) -> list[Endpoint]:
-        found = []
-        for plan, peers in self._ports.inputs():
-            if plan.source is None:
-                found += [
-                    self._endpoint(peer, Kind.PUBLISHER, plan.topic, plan.type, peer, made_by, type_id=plan.type_hash)
-                    for peer in peers
-                    if (made_by := self._ports.made_by(peer)) is not MadeBy.MIDSPAN
-                ]
-        return found
-
-    def _endpoint(
-        self,
-        name: str,
-        kind: Kind,
-        topic: str,
-        type_name: str,
-        node: str,
-        made_by: MadeBy = MadeBy.NATIVE,
-        *,
-        latched: bool = False,
-        type_id: str = "",
-    ) -> Endpoint:
-        qos = _LATCHED if latched or self._contents.latched(topic) else Qos()
-        return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
-
-    def _type_of(self, topic: str, told: str) -> str:
-        """The type of a port of a node: its own, else that of the topic as a rule or a route has it."""
-        if told:
-            return told
-        rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)
-        if rule is not None and rule.type is not None:
-            return rule.type
-        output = self._outputs.get(topic)
-        return "" if output is None else output.side_type.name
+        """See `Endpoints`."""
+        return self._endpoints.all()
 
     # -- types ---------------------------------------------------------------------------------------------------------
 

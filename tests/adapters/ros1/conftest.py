@@ -1,4 +1,4 @@
-"""One roscore for the tests of a module that do not stop it."""
+"""One roscore, and one edge on it, for the tests of a module that do not stop them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.adapters.ros1.parts import EdgeUnderTest, edge_on
 from tests.support.ros1 import RosMaster
 
 
@@ -14,3 +15,10 @@ def master() -> Iterator[RosMaster]:
     """A roscore that stays for the whole module; tests use topic and node names of their own."""
     with RosMaster() as master:
         yield master
+
+
+@pytest.fixture(scope="module")
+def edge(master: RosMaster, tmp_path_factory: pytest.TempPathFactory) -> Iterator[EdgeUnderTest]:
+    """An edge on that master, in a process of its own."""
+    with edge_on(master, tmp_path_factory.mktemp("state")) as edge:
+        yield edge

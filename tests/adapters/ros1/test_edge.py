@@ -42,12 +42,6 @@ A_THING = {
 }
 
 
-@pytest.fixture(scope="module")
-def edge(master, tmp_path_factory):
-    with edge_on(master, tmp_path_factory.mktemp("state")) as edge:
-        yield edge
-
-
 def latest(messages):
     return [m["data"] for m in messages]
 

@@ -31,12 +31,6 @@ def reply(success: bool, message: str) -> str:
     return base64.b64encode(struct.pack("<BI", success, len(message.encode())) + message.encode()).decode()
 
 
-@pytest.fixture(scope="module")
-def edge(master, tmp_path_factory):
-    with edge_on(master, tmp_path_factory.mktemp("state")) as edge:
-        yield edge
-
-
 def server_of(edge, name):
     """The endpoint of a server, once its type is known."""
 

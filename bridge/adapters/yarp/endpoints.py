@@ -1,0 +1,122 @@
+"""What the ports of a YARP network are to the bridge: publishers, subscriptions and servers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from bridge.adapters.base import Endpoint, Kind, MadeBy
+from bridge.adapters.yarp.contents import Contents
+from bridge.adapters.yarp.graph import Graph, NodePort
+from bridge.adapters.yarp.names import PortNames
+from bridge.adapters.yarp.outlet import TopicOutput
+from bridge.adapters.yarp.ports import OwnPorts
+from bridge.adapters.yarp.services import Services
+from bridge.hub.qos import Durability, Qos
+
+_LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
+
+
+class Endpoints:
+    """The endpoints of others on the network.
+
+    Args:
+        names: the scheme of our own ports.
+        contents: what rules say of topics and ports.
+        graph: the network.
+        ports: our own ports, and who is connected to them.
+        services: the RPC ports that rules name.
+        outputs: what we publish, by topic.
+    """
+
+    def __init__(
+        self,
+        names: PortNames,
+        contents: Contents,
+        graph: Graph,
+        ports: OwnPorts,
+        services: Services,
+        outputs: Mapping[str, TopicOutput],
+    ) -> None:
+        self._names, self._contents, self._graph = names, contents, graph
+        self._ports, self._services, self._outputs = ports, services, outputs
+
+    def all(self) -> Sequence[Endpoint]:
+        """Ports that rules name, ports of topics that anybody writes to, and ports opened as ``/topic@/node``."""
+        return [*self._declared(), *self._foreign(), *self._of_nodes(), *self._of_writers(), *self._called()]
+
+    def untyped(self) -> list[NodePort]:
+        """Ports of nodes of which nobody tells the type."""
+        return [node for node in self._graph.nodes if not self._type_of(node.topic, node.type)]
+
+    def _called(self) -> list[Endpoint]:
+        """RPC ports that rules name as services."""
+        return [
+            self._endpoint(port, Kind.SERVER, service, type_name, port)
+            for port, service, type_name in self._services.called()
+            if self._graph.is_there(port)
+        ]
+
+    def _declared(self) -> list[Endpoint]:
+        return [
+            self._endpoint(name := self._names.input(rule.topic), Kind.PUBLISHER, rule.topic, rule.type or "", name)
+            for rule in self._contents.declared
+        ]
+
+    def _foreign(self) -> list[Endpoint]:
+        ports = [(Kind.PUBLISHER, port) for port in self._contents.incoming]
+        ports += [(Kind.SUBSCRIPTION, port) for port in self._contents.outgoing]
+        return [
+            self._endpoint(port.port, kind, port.topic, port.type, port.port, latched=port.latched)
+            for kind, port in ports
+            if self._graph.is_there(port.port)
+        ]
+
+    def _of_nodes(self) -> list[Endpoint]:
+        return [
+            self._endpoint(
+                node.port,
+                Kind.PUBLISHER if node.publishes else Kind.SUBSCRIPTION,
+                node.topic,
+                type_name,
+                node.node,
+                latched=node.latched,
+            )
+            for node in self._graph.nodes
+            if self._graph.is_there(node.port) and (type_name := self._type_of(node.topic, node.type))
+        ]
+
+    def _of_writers(self) -> list[Endpoint]:
+        found = []
+        for plan, peers in self._ports.inputs():
+            if plan.source is None:
+                found += [
+                    self._endpoint(peer, Kind.PUBLISHER, plan.topic, plan.type, peer, made_by, type_id=plan.type_hash)
+                    for peer in peers
+                    if (made_by := self._ports.made_by(peer)) is not MadeBy.MIDSPAN
+                ]
+        return found
+
+    def _endpoint(
+        self,
+        name: str,
+        kind: Kind,
+        topic: str,
+        type_name: str,
+        node: str,
+        made_by: MadeBy = MadeBy.NATIVE,
+        *,
+        latched: bool = False,
+        type_id: str = "",
+    ) -> Endpoint:
+        qos = _LATCHED if latched or self._contents.latched(topic) else Qos()
+        return Endpoint(name, kind, topic, type_name, qos, made_by, node, type_id)
+
+    def _type_of(self, topic: str, told: str) -> str:
+        """The type of a port of a node: its own, else that of the topic as a rule or a route has it."""
+        if told:
+            return told
+        rule = next((rule for rule in self._contents.declared if rule.topic == topic), None)
+        if rule is not None and rule.type is not None:
+            return rule.type
+        output = self._outputs.get(topic)
+        return "" if output is None else output.side_type.name
