@@ -208,6 +208,8 @@ def _busy(crowd: Crowd, title: str, rate: float, seconds: float) -> Busy:
     say(text(title, used))
     for way, (_, _, name) in WAYS.items():
         say(f"{name}: {told[way]['got'] - told[way]['distinct']} doubled, {told[way]['disorder']} out of order")
+    if words := crowd.words():
+        say(f"the daemon's warnings:\n{words}")
     ages = {way: figures(tally["ages"]) for way, tally in told.items()}
     return Busy(
         total(used, WORKERS),
