@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import pytest
-
 from tests.interop import mix_table
 from tests.interop.deployment import Deployment
 
 
-@pytest.mark.timeout(300)  # each of its 78 cells has a deadline of its own, and tells what was missed
 def test_every_client_drives_by_every_planner(
     deployment: Deployment, record_property: Callable[[str, object], None]
 ) -> None:
