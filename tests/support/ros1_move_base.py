@@ -12,7 +12,6 @@ Usage: ros1_move_base.py SPEED PATIENCE
 
 import math
 import sys
-import threading
 
 import actionlib
 import rospy
@@ -37,7 +36,6 @@ class MoveBase:
         self.speed, self.patience = speed, patience
         self.x = self.y = 0.0
         self.current, self.since, self.cancelled = None, 0, False
-        self.lock = threading.RLock()
         self.velocity = rospy.Publisher("cmd_vel", Twist, queue_size=1)
         self.target = rospy.Publisher("move_base/current_goal", PoseStamped, queue_size=10)
         self.goals = rospy.Publisher("move_base/goal", MoveBaseActionGoal, queue_size=10)
@@ -45,6 +43,7 @@ class MoveBase:
         rospy.Subscriber("move_base_simple/goal", PoseStamped, self.simple, queue_size=1)
         rospy.Service("move_base/make_plan", GetPlan, self.plan)
         self.server = actionlib.ActionServer("move_base", MoveBaseAction, self.take, self.cancel, auto_start=False)
+        self.lock = self.server.lock  # it calls us under its own: a second one would be taken in both orders
         self.server.start()
 
     def simple(self, pose):
